@@ -1,0 +1,1 @@
+"""Data with a schema and its validating loaders: robot, skills, tracks, rules."""

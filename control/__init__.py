@@ -1,0 +1,1 @@
+"""The 50 Hz control process: pure tick, skills, transitions, safety."""

@@ -1,0 +1,1 @@
+"""From sound to skill requests: sources, matcher, tracker, conductor."""

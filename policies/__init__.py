@@ -1,0 +1,1 @@
+"""Our ONNX skills with a manifest each, and the generator that builds them."""

@@ -1,0 +1,1 @@
+"""Builds skills from choreography: reference, feedback gains, ONNX, certificate."""

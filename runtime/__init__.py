@@ -1,0 +1,1 @@
+"""Plumbing with no robot and no audio: clock, bus, rate keeper, supervisor, config, log, journal."""

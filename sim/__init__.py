@@ -1,0 +1,1 @@
+"""The plant (MuJoCo), lockstep scheduler, evaluation of choreographies."""
