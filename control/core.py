@@ -1,0 +1,286 @@
+"""The control tick: a pure function of the core's state and its inputs.
+
+No clock, no randomness, no set order, no BLAS, no environment. `ControlNode` feeds it from the bus;
+the batch check restores it and runs the same lines.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from hashlib import blake2b
+
+import numpy as np
+
+from downbeat.catalog.robot import load_g1
+from downbeat.control import faults
+from downbeat.control.director import Director, Frame
+from downbeat.control.faults import Reaction
+from downbeat.control.observation import RobotState, tilt
+from downbeat.control.policy import F32, JointTargets, SkillLibrary
+from downbeat.control.requests import StatusChange
+from downbeat.control.safety import RaisedFault, SafetyMonitor
+from downbeat.lcm_types import (
+    control_status_t,
+    estop_t,
+    g1_low_cmd_t,
+    g1_low_state_t,
+    operator_command_t,
+    skill_request_t,
+)
+
+MOVE_TO_POSE_S = 2.0
+POSE_REACHED_RAD = 0.15
+COMMAND_VALID_US = 100_000
+"""A command holds for five ticks; then the receiver goes to damping."""
+DAMPING_GAIN = 2.0
+"""[N m s/rad] of every joint in damping: the robot sinks slowly."""
+
+
+@dataclass(frozen=True, slots=True)
+class TickInput:
+    """Everything one tick consumes.
+
+    Attributes:
+        utime: [us] of the tick, a multiple of 20 ms.
+        tick: Tick number.
+        state: The newest valid G1_LOW_STATE, None before the first.
+        state_age_us: Its age [us].
+        requests: New skill requests, in order.
+        operator: New operator commands, in order.
+        estops: New emergency stop messages, in order.
+    """
+
+    utime: int
+    tick: int
+    state: g1_low_state_t | None
+    state_age_us: int
+    requests: tuple[skill_request_t, ...] = ()
+    operator: tuple[operator_command_t, ...] = ()
+    estops: tuple[estop_t, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TickOutput:
+    """What a tick produces; sequence numbers, lateness and counters are filled in by the node."""
+
+    command: g1_low_cmd_t
+    status: control_status_t
+    changes: list[StatusChange]
+
+
+@dataclass(frozen=True, slots=True)
+class CoreConfig:
+    """Settings of the core.
+
+    Attributes:
+        auto_arm: In simulation, move to the start pose and stand without an operator.
+    """
+
+    auto_arm: bool = True
+
+
+class ControlCore:
+    """Modes and safety around the director."""
+
+    def __init__(self, library: SkillLibrary, config: CoreConfig | None = None) -> None:
+        self.config = config or CoreConfig()
+        self.mode: int = control_status_t.ZERO_TORQUE
+        self.director = Director(library)
+        self.safety = SafetyMonitor()
+        self.fault: RaisedFault | None = None
+        self._armed = False
+        self._latched = False
+        self._latched_fault: RaisedFault | None = None
+        self._move_from: F32 | None = None
+        self._move_start_utime = 0
+        robot = load_g1()
+        self._default_pos = np.asarray(robot.default_joint_pos, np.float32)  # (29,)
+        self._stiffness = np.asarray(robot.joint_stiffness, np.float32)  # (29,)
+        self._damping = np.asarray(robot.joint_damping, np.float32)  # (29,)
+
+    def tick(self, inputs: TickInput) -> TickOutput:
+        """Advance by one tick of 20 ms."""
+        state = None if inputs.state is None else robot_state(inputs.state)
+        self.fault = self._latched_fault if self._latched else None
+        self._take_operator(inputs)
+        self._take_estops(inputs)
+        motor_fault = None if inputs.state is None else np.asarray(inputs.state.motor_fault)
+        for raised in self.safety.check_state(state, inputs.state_age_us, motor_fault):
+            self._raise(raised)
+        for request in inputs.requests:
+            self.director.book.receive(request, inputs.utime, inputs.tick)
+        frame, targets = self._act(inputs, state)
+        command = self._command(inputs, targets)
+        status = self._status(inputs, state, frame, command)
+        self.director.end_tick()
+        return TickOutput(command, status, self.director.book.take_changes())
+
+    def _act(
+        self, inputs: TickInput, state: RobotState | None
+    ) -> tuple[Frame | None, JointTargets | None]:
+        """Return what was played and the targets to send; None for a passive robot."""
+        if state is None or self._latched:
+            return None, None
+        self._maybe_arm(inputs)
+        if self.mode == control_status_t.MOVE_TO_POSE:
+            targets = self._move_to_pose(inputs)
+            if targets is not None:
+                return None, targets
+        self.director.update(inputs.utime)
+        frame = self.director.play(state, inputs.utime)
+        if frame is None:
+            return None, None
+        self.mode = self.director.mode
+        for name, obs, targets in frame.parts:
+            for raised in self.safety.check_policy(obs, targets.joint_pos, name):
+                self._raise(raised)
+        return frame, None if self._latched else frame.targets
+
+    # ------------------------------------------------------------------ modes and safety
+
+    def _take_operator(self, inputs: TickInput) -> None:
+        for msg in inputs.operator:
+            if msg.command == operator_command_t.ARM and not self._latched:
+                self._armed = True
+            elif msg.command == operator_command_t.DISARM:
+                self._go_passive("the operator disarmed", control_status_t.DAMPING)
+            elif msg.command == operator_command_t.CLEAR_TRIP and self._latched:
+                self._latched = False
+                self.fault = self._latched_fault = None
+                self.safety.reset()
+                self._go_passive("the trip was cleared", control_status_t.DAMPING)
+
+    def _go_passive(self, reason: str, mode: int) -> None:
+        self._armed = False
+        self._move_from = None
+        self.director.stop(reason)
+        self.mode = mode
+
+    def _take_estops(self, inputs: TickInput) -> None:
+        for msg in inputs.estops:
+            if msg.level != estop_t.CLEAR:
+                who = f"{msg.source or 'somebody'}: {msg.reason or 'no reason given'}"
+                self._raise(RaisedFault(faults.ESTOP, faults.ESTOP.message.format(who)))
+
+    def _raise(self, raised: RaisedFault) -> None:
+        """Apply the table; the hardest reaction is the one that is reported."""
+        reaction = raised.fault.reaction
+        if self.fault is None or reaction > self.fault.fault.reaction:
+            self.fault = raised
+        active = self.director.playback is not None or self._move_from is not None
+        if reaction == Reaction.ESTOP:
+            self._trip(raised, control_status_t.ESTOP)
+        elif reaction == Reaction.DAMPING and active:
+            self._trip(raised, control_status_t.DAMPING)
+
+    def _trip(self, raised: RaisedFault, mode: int) -> None:
+        latched = self._latched_fault
+        if latched is None or raised.fault.reaction > latched.fault.reaction:
+            self._latched_fault = raised
+            self._go_passive(raised.text, mode)
+        self._latched = True
+
+    def _maybe_arm(self, inputs: TickInput) -> None:
+        """Leave ZERO_TORQUE or DAMPING once armed (in simulation: by itself, once)."""
+        idle = self.mode in (control_status_t.ZERO_TORQUE, control_status_t.DAMPING)
+        if not idle or inputs.state is None:
+            return
+        simulated = inputs.state.source == g1_low_state_t.SOURCE_SIM
+        fresh = self.mode == control_status_t.ZERO_TORQUE
+        if self._armed or (self.config.auto_arm and simulated and fresh):
+            self._armed = True
+            self.mode = control_status_t.MOVE_TO_POSE
+            self._move_from = np.array(inputs.state.joint_pos, np.float32)
+            self._move_start_utime = inputs.utime
+
+    def _move_to_pose(self, inputs: TickInput) -> JointTargets | None:
+        """Interpolate to the default pose; a held pose does not stand, so stand takes over."""
+        start = self._default_pos if self._move_from is None else self._move_from
+        distance = float(np.abs(start - self._default_pos).max())
+        duration_s = 0.0 if distance < POSE_REACHED_RAD else MOVE_TO_POSE_S
+        elapsed_s = (inputs.utime - self._move_start_utime) * 1e-6
+        if elapsed_s >= duration_s:
+            self._move_from = None
+            self.director.start(inputs.utime)
+            return None
+        share = np.float32(elapsed_s / duration_s)
+        pose = start + share * (self._default_pos - start)  # (29,)
+        return JointTargets(pose, self._stiffness, self._damping)
+
+    # ------------------------------------------------------------------ output
+
+    def _command(self, inputs: TickInput, targets: JointTargets | None) -> g1_low_cmd_t:
+        """Return the command; without targets it is damping, or no torque at all."""
+        if targets is not None:
+            return make_command(inputs, g1_low_cmd_t.MODE_POSITION, targets)
+        zeros = np.zeros(29, np.float32)
+        if self.mode == control_status_t.ZERO_TORQUE:
+            mode = g1_low_cmd_t.MODE_ZERO_TORQUE
+            return make_command(inputs, mode, JointTargets(zeros, zeros, zeros))
+        damping = np.full(29, DAMPING_GAIN, np.float32)
+        mode = g1_low_cmd_t.MODE_DAMPING
+        return make_command(inputs, mode, JointTargets(zeros, zeros, damping))
+
+    def _status(
+        self,
+        inputs: TickInput,
+        state: RobotState | None,
+        frame: Frame | None,
+        command: g1_low_cmd_t,
+    ) -> control_status_t:
+        status = control_status_t()
+        status.header.utime = inputs.utime
+        status.tick = inputs.tick
+        status.mode = self.mode
+        status.state_age_us = min(inputs.state_age_us, 2**31 - 1)
+        if inputs.state is not None:
+            status.state_seq = inputs.state.header.seq
+            status.input_hash = hash64(inputs.state.joint_pos, inputs.state.joint_vel)
+        self.director.fill_status(status)
+        if frame is not None:
+            status.obs_hash = hash64(*(obs for _, obs, _ in frame.parts))
+            status.action_hash = hash64(*(t.joint_pos for _, _, t in frame.parts))
+        status.command_hash = hash64(
+            command.joint_pos_target, command.joint_stiffness, command.joint_damping
+        )
+        status.tilt = 0.0 if state is None else float(tilt(state.base_quat_wxyz))
+        status.base_height = math.nan
+        status.support_margin = math.nan
+        if self.fault is not None:
+            status.fault = self.fault.fault.id
+            status.fault_text = self.fault.text
+        return status
+
+
+def robot_state(msg: g1_low_state_t) -> RobotState:
+    """Return what the observation terms need from a message (float32, motor order)."""
+    return RobotState(
+        np.asarray(msg.imu_pelvis.quat, np.float32),
+        np.asarray(msg.imu_pelvis.gyro, np.float32),
+        np.asarray(msg.joint_pos, np.float32),
+        np.asarray(msg.joint_vel, np.float32),
+    )
+
+
+def hash64(*arrays: object) -> int:
+    """Return a signed 64-bit hash of the arrays' bytes; equal hashes mean equal bits."""
+    digest = blake2b(digest_size=8)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array, np.float32).tobytes())
+    return int.from_bytes(digest.digest(), "big", signed=True)
+
+
+def make_command(inputs: TickInput, mode: int, targets: JointTargets) -> g1_low_cmd_t:
+    """Return a G1_LOW_CMD that answers the state of this tick."""
+    command = g1_low_cmd_t()
+    command.header.utime = inputs.utime
+    command.state_seq = inputs.state.header.seq if inputs.state is not None else 0
+    command.valid_until_utime = inputs.utime + COMMAND_VALID_US
+    command.mode = mode
+    command.joint_pos_target = targets.joint_pos
+    command.joint_vel_target = np.zeros(29, np.float32)
+    command.joint_torque_ff = np.zeros(29, np.float32)
+    command.joint_stiffness = targets.joint_stiffness
+    command.joint_damping = targets.joint_damping
+    return command

@@ -1,0 +1,212 @@
+"""Directs the skills: which plays, which hop is next, when a request is answered."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from downbeat.control.observation import RobotState
+from downbeat.control.phase import TICK_US, PhaseLine
+from downbeat.control.player import Blend, Playback, heading_of, mix, start_playback
+from downbeat.control.policy import F32, JointTargets, SkillLibrary
+from downbeat.control.requests import Request, RequestBook
+from downbeat.control.transitions import Goal, Hop, half_us, next_hop, walk_stop_lead_us
+from downbeat.lcm_types import control_status_t, skill_status_t
+
+OWN_SOURCE = -1
+"""Source of requests that the director makes itself: back to stand."""
+IDLE_STAND_US = 1_500_000
+"""With nothing running, a gap this long before the next request is spent in stand."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What one tick of playing computed.
+
+    Attributes:
+        parts: (skill name, observation, targets) of each skill in play, incoming first.
+        targets: The mixed targets.
+    """
+
+    parts: tuple[tuple[str, F32, JointTargets], ...]
+    targets: JointTargets
+
+
+class Director:
+    """Playback, blends and the request book; a pure state machine stepped once per tick."""
+
+    def __init__(self, library: SkillLibrary) -> None:
+        self.library = library
+        self.book = RequestBook(library.__contains__, library.names)
+        self.playback: Playback | None = None
+        self.blend: Blend | None = None
+        self._plan = ""
+        self._coming: Request | None = None
+        self._ends_utime = 0
+
+    @property
+    def mode(self) -> int:
+        """The control mode that the skills in play amount to."""
+        if self.blend is not None:
+            return control_status_t.TRANSITION
+        standing = self.playback is None or self.playback.name == "stand"
+        return control_status_t.STAND if standing else control_status_t.SKILL
+
+    def start(self, now: int) -> None:
+        """Begin with the stand skill."""
+        hop = Hop(now, "stand", 0)
+        self.playback = start_playback(self.library["stand"], hop, PhaseLine(now, 0.0, 1.0), now, 0)
+
+    def stop(self, reason: str) -> None:
+        """End everything at once; the book's requests are aborted."""
+        self.book.abort_all(reason)
+        self.playback = None
+        self.blend = None
+        self._coming = None
+        self._plan = ""
+
+    # ------------------------------------------------------------------ scheduling
+
+    def update(self, now: int) -> None:
+        """Start the next hop when it is due."""
+        self.book.expire(now)
+        playback = self.playback
+        if playback is None:
+            return
+        self._follow_retimes(playback)
+        if self.blend is not None and self.blend.is_over:
+            self.blend = None
+        if self.blend is not None:
+            return
+        request = self._wanted(playback, now)
+        if request is None:
+            return
+        goal = Goal(self.library[request.skill].manifest, request.line, request.onset_utime)
+        if goal.skill.name == playback.name:
+            self._continue_same(request, playback, now)
+            return
+        self._slow_down(playback, goal, now)
+        still = playback.velocity is None or playback.velocity.is_still
+        hop = next_hop(playback.skill.manifest, playback.follower, still, goal, now)
+        if hop is not None and hop.start_utime <= now + TICK_US // 2:
+            self._start_hop(hop, request, playback, now)
+
+    @staticmethod
+    def _slow_down(playback: Playback, goal: Goal, now: int) -> None:
+        """Bring a walk to marching on the spot in time for its end."""
+        if playback.velocity is not None and now >= goal.onset_utime - walk_stop_lead_us(1.0):
+            playback.velocity.wanted[:] = 0.0
+
+    def _wanted(self, playback: Playback, now: int) -> Request | None:
+        """Return the request to work towards: the next one, the interrupted one, or stand."""
+        active = self.book.active
+        if active is not None and 0 < self._ends_utime <= now:
+            self.book.say(active, skill_status_t.DONE)
+            self.book.active = active = None
+        head = self.book.head()
+        if head is not None and (active is not None or head.onset_utime - now < IDLE_STAND_US):
+            return head
+        if active is not None and playback.request_id != active.key[1]:
+            return active  # its successor was cancelled on the way: go back to it
+        if active is None and playback.name != "stand":
+            line = PhaseLine(now, 0.0, 1.0)
+            return Request((OWN_SOURCE, 0), "stand", 0, now, 0, line, 0.0, (0.0, 0.0, 0.0), 0)
+        return head
+
+    def _continue_same(self, request: Request, playback: Playback, now: int) -> None:
+        """The wanted skill runs already: adopt its new phase line and command at its onset."""
+        if now + TICK_US // 2 < request.onset_utime:
+            return
+        playback.follower.retime(request.line)
+        if request.key[0] == OWN_SOURCE:
+            return
+        playback.request_id = request.key[1]
+        self._activate(request, playback, now)
+        self._plan = "direct"
+        self._say_running(request, now)
+
+    def _start_hop(self, hop: Hop, request: Request, outgoing: Playback, now: int) -> None:
+        final = hop.to_skill == request.skill
+        own = request.key[0] == OWN_SOURCE
+        line = request.line if final else PhaseLine(now, 0.0, 1.0)
+        request_id = request.key[1] if final else 0
+        playback = start_playback(self.library[hop.to_skill], hop, line, now, request_id)
+        self.playback = playback
+        self.blend = Blend(outgoing, hop)
+        if own:
+            return
+        onset = now + half_us(hop.blend_ticks)
+        if not final:
+            self._plan = "via_stand"
+            state, onset = skill_status_t.PRIMING, request.onset_utime
+        else:
+            self._plan = self._plan or "blended"
+            self._activate(request, playback, now)
+            self._coming = request
+            state = skill_status_t.BLENDING
+        self.book.say(request, state, planned_start_utime=onset, plan=self._plan)
+
+    def _activate(self, request: Request, playback: Playback, now: int) -> None:
+        self.book.activate(request)
+        manifest = playback.skill.manifest
+        self._ends_utime = 0
+        if request.duration_s > 0.0:
+            self._ends_utime = max(request.onset_utime, now) + round(request.duration_s * 1e6)
+        elif not manifest.loop:
+            self._ends_utime = now + round(manifest.duration_s / request.line.rate * 1e6)
+        if playback.velocity is not None:
+            playback.velocity.wanted[:] = request.velocity
+
+    def _follow_retimes(self, playback: Playback) -> None:
+        active = self.book.active
+        if active is not None and active.key[1] == playback.request_id:
+            playback.follower.retime(active.line)
+
+    def _say_running(self, request: Request, now: int) -> None:
+        phase = math.nan if self.playback is None else self.playback.follower.wrapped_s
+        state = skill_status_t.RUNNING
+        self.book.say(request, state, phase_s=phase, onset_utime=now, plan=self._plan)
+        self._coming = None
+        self._plan = ""
+
+    # ------------------------------------------------------------------ playing
+
+    def play(self, state: RobotState, now: int) -> Frame | None:
+        """Run the active skill, or both during a blend, and advance their phases."""
+        playback, blend = self.playback, self.blend
+        if playback is None:
+            return None
+        if self._coming is not None and (blend is None or blend.weight >= 0.5):
+            self._say_running(self._coming, now)
+        heading = heading_of(state)
+        obs, targets = playback.act(state, heading)
+        playback.advance(now)
+        if blend is None:
+            return Frame(((playback.name, obs, targets),), targets)
+        outgoing_obs, outgoing = blend.outgoing.act(state, heading)
+        blend.outgoing.advance(now)
+        mixed = mix(outgoing, targets, blend.weight, blend.hop, blend.tick)
+        parts = ((playback.name, obs, targets), (blend.outgoing.name, outgoing_obs, outgoing))
+        return Frame(parts, mixed)
+
+    def end_tick(self) -> None:
+        """Advance the blend; called after the status of the tick was taken."""
+        if self.blend is not None:
+            self.blend.tick += 1
+
+    def fill_status(self, status: control_status_t) -> None:
+        """Write what plays into CONTROL_STATUS."""
+        status.phase_s = 0.0
+        status.phase_rate = 1.0
+        if self.playback is None:
+            return
+        status.skill = self.playback.name
+        status.phase_s = self.playback.follower.wrapped_s
+        status.phase_rate = self.playback.follower.rate
+        status.request_id = self.playback.request_id
+        status.blend_weight = 1.0
+        if self.blend is not None:
+            status.previous_skill = self.blend.outgoing.name
+            status.blend_weight = float(np.clip(self.blend.weight, 0.0, 1.0))
