@@ -1,0 +1,1 @@
+"""One dataclass per subcommand; its `run` returns the exit code."""

@@ -1,0 +1,81 @@
+"""`downbeat eval`: the paper's experiments on any tracks and skills."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Mashup:
+    """Cut a folder of recordings into a mashup, dance it, print the metrics."""
+
+    tracks: Path
+    """Folder of audio files (wav, flac, ogg, mp3); each is indexed alone, the mashup never."""
+    section_seconds: float = 20.0
+    """Length of each section [s]; shorter tracks are left out and named."""
+    seed: int = 0
+    """Chooses tracks, cuts, skills and the plant's noise."""
+    announced: bool = False
+    """Give the set list to the conductor."""
+    sections: int = 8
+    """How many sections at most."""
+    rules: Path | None = None
+    """Folder of track files with timed rules (as in catalog/tracks) instead of assigned skills."""
+    realtime: bool = False
+    """Separate processes over LCM in real time, instead of lockstep."""
+    video: bool = False
+    """Render video.mp4 after the run."""
+    runs: Path = Path("runs")
+    """Where runs are kept; `latest` points to the newest."""
+    url: str = ""
+    """LCM URL for --realtime."""
+    json: bool = False
+    """Print metrics as one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Run it; 0 if the robot stayed up and followed every section."""
+        from downbeat.tools.eval_mashup import run_eval_mashup
+
+        return run_eval_mashup(self)
+
+
+@dataclass(frozen=True)
+class Beat:
+    """Dance a generated piece for two minutes and print the beat-phase error."""
+
+    bpm: tuple[float, ...] = (98.0, 128.0, 140.0)
+    """Tempos to play."""
+    seconds: float = 120.0
+    """Length of each run [s]."""
+    skill: str = "kpop"
+    """Dance to play."""
+    seed: int = 0
+    """Seed of the plant's noise."""
+    runs: Path = Path("runs")
+    """Where runs are kept."""
+    json: bool = False
+    """Print rows as one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Run it; 0 if every p95 is within 20 ms."""
+        from downbeat.tools.eval_beat import run_eval_beat
+
+        return run_eval_beat(self)
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Evaluate: `mashup` (M20, M30 of the paper), `beat` (phase against the music)."""
+
+    what: (
+        Annotated[Mashup, tyro.conf.subcommand("mashup")]
+        | Annotated[Beat, tyro.conf.subcommand("beat")]
+    )
+
+    def run(self) -> int:
+        """Run the chosen evaluation."""
+        return self.what.run()

@@ -1,0 +1,131 @@
+"""The operator's commands: ask, stop, report, spy, doctor, bench, export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Ask:
+    """Ask a running control process for a skill (OPERATOR_SKILL_REQUEST)."""
+
+    skill: tyro.conf.Positional[str]
+    """Skill name."""
+    seconds: float = 0.0
+    """Then stand; 0: for ever."""
+    vx: float = 0.0
+    """Forward speed [m/s], walk only."""
+    yaw_rate: float = 0.0
+    """Turn rate [rad/s], walk only."""
+    url: str = ""
+    """LCM URL."""
+
+    def run(self) -> int:
+        """Ask and print the answer; 0 if it runs."""
+        from downbeat.tools.operator import ask
+
+        return ask(self.skill, self.seconds, (self.vx, 0.0, self.yaw_rate), self.url)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Emergency stop: publish ESTOP on the bus."""
+
+    level: Literal["damp", "zero_torque", "clear"] = "damp"
+    """damp: joints damped; zero_torque: limp; clear: re-arm after a trip."""
+    reason: str = "operator"
+    """For the log."""
+    url: str = ""
+    """LCM URL."""
+
+    def run(self) -> int:
+        """Publish it."""
+        from downbeat.tools.operator import stop
+
+        return stop(self.level, self.reason, self.url)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Compute metrics.json and timeline.png of a run again, from its log and truth file alone."""
+
+    run_dir: tyro.conf.Positional[Path] = Path("runs/latest")
+    """Folder of the run."""
+    video: bool = False
+    """Also render video.mp4."""
+    json: bool = False
+    """Print metrics as one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Compute and print."""
+        from downbeat.tools.finish import report_command
+
+        return report_command(self.run_dir, self.video, self.json)
+
+
+@dataclass(frozen=True)
+class Spy:
+    """Build the Java types jar (cached) and start lcm-spy with it."""
+
+    url: str = ""
+    """LCM URL."""
+
+    def run(self) -> int:
+        """Run lcm-spy until it is closed."""
+        from downbeat.tools.operator import spy
+
+        return spy(self.url)
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Check this machine: LCM, multicast, buffers, real-time rights, GL, Java."""
+
+    url: str = ""
+    """LCM URL."""
+    json: bool = False
+    """Print one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Check; 0 if nothing fails."""
+        from downbeat.tools.operator import doctor
+
+        return doctor(self.url, self.json)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Print the benchmark table: tick, codec, fingerprint query, generator, lockstep speed."""
+
+    only: tuple[str, ...] = ()
+    """Names of benchmarks; none: all."""
+    json: bool = False
+    """Print one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        from downbeat.tools.bench import run_bench
+
+        return run_bench(self.only, self.json)
+
+
+@dataclass(frozen=True)
+class Export:
+    """Export: the robot model as MJCF."""
+
+    what: tyro.conf.Positional[Literal["mjcf"]] = "mjcf"
+    """What to export."""
+    out: Path = Path("g1.xml")
+    """File to write."""
+
+    def run(self) -> int:
+        """Write it."""
+        from downbeat.catalog.mjcf import g1_mjcf
+
+        self.out.write_text(g1_mjcf(), encoding="utf-8")
+        print(self.out)
+        return 0

@@ -1,0 +1,76 @@
+"""`downbeat policy`: generate, certify, inspect skills."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Build a skill from its choreography, for a tempo."""
+
+    name: tyro.conf.Positional[str]
+    """Skill name, e.g. kpop."""
+    bpm: float | None = None
+    """Tempo; omitted: the choreography's own."""
+    out: Path = Path("policies_out")
+    """Folder that receives NAME/manifest.toml and NAME/NAME.onnx."""
+
+    def run(self) -> int:
+        """Build and print the manifest."""
+        from downbeat.tools.policy_tools import generate
+
+        return generate(self.name, self.bpm, self.out)
+
+
+@dataclass(frozen=True)
+class Certify:
+    """Dance each skill 30 s in closed loop under noise, delay, mass and friction; print the table."""
+
+    names: tyro.conf.Positional[list[str]] = field(default_factory=list)
+    """Skill names; none: all bundled skills."""
+    skills: Path | None = None
+    """Folder of skills; omitted: the bundled ones."""
+    write: bool = False
+    """Write the certificates into the manifests."""
+
+    def run(self) -> int:
+        """Certify; 0 if all passed."""
+        from downbeat.tools.policy_tools import certify
+
+        return certify(self.names, self.skills, self.write)
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Show skills: kind, tempo range, entry and exit phases, certificate."""
+
+    names: tyro.conf.Positional[list[str]] = field(default_factory=list)
+    """Skill names; none: a table of all."""
+    skills: Path | None = None
+    """Folder of skills; omitted: the bundled ones."""
+
+    def run(self) -> int:
+        """Print."""
+        from downbeat.tools.policy_tools import inspect
+
+        return inspect(self.names, self.skills)
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Skills: `generate`, `certify`, `inspect`."""
+
+    what: (
+        Annotated[Generate, tyro.conf.subcommand("generate")]
+        | Annotated[Certify, tyro.conf.subcommand("certify")]
+        | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+    )
+
+    def run(self) -> int:
+        """Run the chosen command."""
+        return self.what.run()

@@ -1,0 +1,75 @@
+"""The processes of a show, one subcommand each; `downbeat demo` starts them all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class ProcessArgs:
+    """What every process takes."""
+
+    show: Path
+    """show.toml of the run."""
+    epoch_utime: int = 0
+    """Time base of the show [us]; 0: this process's own start."""
+    epoch_monotonic_ns: int = 0
+    """Monotonic clock at the epoch [ns]."""
+    url: str = ""
+    """LCM URL; empty: LCM's default group with ttl=0."""
+
+
+@dataclass(frozen=True)
+class Sim(ProcessArgs):
+    """Run the plant: MuJoCo behind G1_LOW_STATE and G1_LOW_CMD."""
+
+    def run(self) -> int:
+        """Run until told to stop."""
+        from downbeat.tools.processes import run_process
+
+        return run_process("sim", self)
+
+
+@dataclass(frozen=True)
+class Listen(ProcessArgs):
+    """Run the listener: sound in, AUDIO_CLASS and MUSIC_MATCH out."""
+
+    def run(self) -> int:
+        """Run until told to stop."""
+        from downbeat.tools.processes import run_process
+
+        return run_process("listener", self)
+
+
+@dataclass(frozen=True)
+class Conduct(ProcessArgs):
+    """Run the conductor: track position in, SKILL_REQUEST out."""
+
+    def run(self) -> int:
+        """Run until told to stop."""
+        from downbeat.tools.processes import run_process
+
+        return run_process("conductor", self)
+
+
+@dataclass(frozen=True)
+class Control(ProcessArgs):
+    """Run control: state and requests in, G1_LOW_CMD at 50 Hz out."""
+
+    def run(self) -> int:
+        """Run until told to stop."""
+        from downbeat.tools.processes import run_process
+
+        return run_process("control", self)
+
+
+@dataclass(frozen=True)
+class Record(ProcessArgs):
+    """Write every logged channel to run.lcmlog."""
+
+    def run(self) -> int:
+        """Run until told to stop."""
+        from downbeat.tools.processes import run_process
+
+        return run_process("recorder", self)

@@ -1,0 +1,34 @@
+"""`downbeat demo`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Play the bundled mashup: heard, recognised, danced; ends with the result table."""
+
+    lockstep: bool = False
+    """One process over memq on simulated time: faster than real time and deterministic."""
+    announced: bool = True
+    """Give the set list to the conductor, so that it knows the cuts ahead; else they surprise it."""
+    section_seconds: float = 20.0
+    """Length of each track's section [s]."""
+    seed: int = 0
+    """Seed of the plant's noise."""
+    video: bool = True
+    """Render video.mp4 after the run."""
+    runs: Path = Path("runs")
+    """Where runs are kept; `latest` points to the newest."""
+    url: str = ""
+    """LCM URL; empty: LCM's default group with ttl=0, so that a plain lcm-spy sees the show."""
+    json: bool = False
+    """Print metrics as one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Run it; 0 if the robot stayed up and followed every section."""
+        from downbeat.tools.demo import run_demo
+
+        return run_demo(self)
