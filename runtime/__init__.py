@@ -1,1 +1,1 @@
-"""Plumbing with no robot and no audio: clock, bus, rate keeper, supervisor, config, log, journal."""
+"""Plumbing with no robot and no audio: clock, bus, supervisor, config, log, journal."""
