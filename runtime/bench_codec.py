@@ -42,7 +42,7 @@ def bench_codec(number: int = 5000, repeat: int = 5) -> list[CodecRow]:
     rows: list[CodecRow] = []
     messages: tuple[Any, ...] = (_low_state(), g1_low_cmd_t(), _control_status())
     for msg in messages:
-        generated = type(msg)
+        generated: Any = type(msg)
         codec = codec_for(generated)
         payload: bytes = msg.encode()
         from_arrays = partial(codec.encode, codec.decode(payload))

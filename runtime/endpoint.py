@@ -1,0 +1,246 @@
+"""What all buses share: stamping and checking on the way out, judging on the way in."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from typing import Any
+
+from downbeat.lcm_types.channels import CHANNELS, Channel
+from downbeat.runtime.bus_types import BusCounters, BusError, Freshness, Received
+from downbeat.runtime.clock import Clock
+from downbeat.runtime.codec import Codec, CodecError, codec_for
+from downbeat.runtime.errors import one_of
+
+log = logging.getLogger("downbeat.bus")
+
+KEPT_EVENTS = 4096
+"""Messages kept between two takes of an event channel; the oldest go first."""
+KEPT_STATE_S = 2.0
+"""The same for channels with a rate, as time; at least 64 messages."""
+KEPT_EPOCHS = 32
+RATE_WINDOW_US = 1_000_000
+RATE_TOLERANCE = 0.9
+
+
+def channel_named(name: str) -> Channel:
+    """Return a row of the channel table.
+
+    Raises:
+        BusError: There is none of that name.
+    """
+    channel = CHANNELS.get(name)
+    if channel is None:
+        raise BusError(
+            f"Channel {name!r} is not in the channel table (lcm_types/channels.py); "
+            f"it has {one_of(CHANNELS)}."
+        )
+    return channel
+
+
+def _is_power_of_two(count: int) -> bool:
+    """Log the 1st, 2nd, 4th, 8th ... time: a line per change of scale, never a flood."""
+    return count & (count - 1) == 0
+
+
+class _Subscription:
+    """State of one received channel."""
+
+    __slots__ = (
+        "channel",
+        "codec",
+        "count",
+        "epoch",
+        "judged",
+        "last_seqs",
+        "latest",
+        "queue",
+        "window",
+    )
+
+    def __init__(self, channel: Channel) -> None:
+        self.channel = channel
+        self.codec: Codec = codec_for(channel.type)
+        self.latest: Received | None = None
+        kept = max(64, int(KEPT_STATE_S * channel.rate_hz)) if channel.rate_hz else KEPT_EVENTS
+        self.queue: deque[Received] = deque(maxlen=kept)
+        self.epoch = 0
+        self.last_seqs: dict[int, int] = {}
+        self.count = 0
+        self.window: tuple[int, int, bool] | None = None
+        self.judged: tuple[bool, bool] | None = None
+
+
+class Endpoint:
+    """Base of the buses; they add `_send` and `pump`."""
+
+    def __init__(self, clock: Clock, process: str, epoch: int) -> None:
+        """Make an endpoint.
+
+        Args:
+            clock: Stamps received messages.
+            process: Who we are, as in the channel table's publishers.
+            epoch: header.epoch of everything we publish.
+        """
+        self.clock = clock
+        self.process = process
+        self.epoch = epoch
+        self.counters = BusCounters()
+        self._subscriptions: dict[str, _Subscription] = {}
+        self._next_seqs: dict[str, int] = {}
+
+    def publish(self, channel: str, msg: Any) -> int:
+        """Stamp, check, encode, send; see `Bus.publish`."""
+        seq = self._next_seqs.get(channel)
+        if seq is None:
+            self._check_publisher(channel)
+            seq = 0
+        codec = codec_for(CHANNELS[channel].type)
+        header = msg.header
+        header.seq = seq
+        header.epoch = self.epoch
+        payload = codec.encode(msg)
+        self._next_seqs[channel] = seq + 1
+        self._send(channel, payload)
+        return seq
+
+    def _check_publisher(self, channel: str) -> None:
+        publishers = channel_named(channel).publishers
+        if publishers and self.process not in publishers:
+            raise BusError(
+                f"Process {self.process!r} may not publish {channel}; "
+                f"its publishers are {one_of(publishers)} (lcm_types/channels.py)."
+            )
+
+    def _send(self, channel: str, payload: bytes) -> None:
+        raise NotImplementedError
+
+    def subscribe(self, *channels: str) -> None:
+        """Receive channels from now on; see `Bus.subscribe`."""
+        for name in channels:
+            channel = channel_named(name)
+            if name not in self._subscriptions:
+                self._subscriptions[name] = _Subscription(channel)
+                self._join(channel)
+
+    def _join(self, channel: Channel) -> None:
+        """Tell the transport; nothing to do for most."""
+
+    def _receive(self, channel: str, payload: bytes) -> None:
+        """Decode and judge one message; counts what is bad, never raises."""
+        subscription = self._subscriptions.get(channel)
+        if subscription is None:
+            return
+        try:
+            msg = subscription.codec.decode(payload, channel)
+        except CodecError as error:
+            total = self.counters.add_rejected(channel)
+            if _is_power_of_two(total):
+                log.warning("rejected %d on %s: %s", total, channel, error)
+            return
+        header = msg.header
+        if not self._in_sequence(subscription, header.epoch, header.seq):
+            return
+        received = Received(channel, msg, self.clock.utime())
+        subscription.latest = received
+        subscription.queue.append(received)
+        subscription.count += 1
+
+    def _in_sequence(self, subscription: _Subscription, epoch: int, seq: int) -> bool:
+        """Follow sequence numbers per epoch; refuse duplicates and a second publisher."""
+        last_seqs = subscription.last_seqs
+        last = last_seqs.get(epoch)
+        channel = subscription.channel.name
+        if last is None:
+            subscription.epoch = epoch
+            if len(last_seqs) >= KEPT_EPOCHS:
+                last_seqs.pop(next(iter(last_seqs)))
+        elif seq <= last:
+            total = self.counters.add_rejected(channel)
+            if _is_power_of_two(total):
+                log.warning("rejected %d on %s: seq %d came after %d", total, channel, seq, last)
+            return False
+        elif seq > last + 1:
+            total = self.counters.add_lost(channel, seq - last - 1)
+            log.debug("lost %d on %s", total, channel)
+        last_seqs[epoch] = seq
+        if epoch != subscription.epoch and len(subscription.channel.publishers) > 0:
+            # An epoch that was replaced by a newer one still talks: two publishers.
+            total = self.counters.add_foreign(channel)
+            if _is_power_of_two(total):
+                log.error("second publisher on %s: %d messages dropped", channel, total)
+            return False
+        return True
+
+    def latest(self, channel: str) -> Received | None:
+        """Return the last valid message; see `Bus.latest`."""
+        return self._subscription(channel).latest
+
+    def take(self, channel: str) -> list[Received]:
+        """Return all valid messages since the last take, in order; see `Bus.take`."""
+        queue = self._subscription(channel).queue
+        if not queue:
+            return []
+        taken = list(queue)
+        queue.clear()
+        return taken
+
+    def _subscription(self, channel: str) -> _Subscription:
+        subscription = self._subscriptions.get(channel)
+        if subscription is None:
+            raise BusError(
+                f"Process {self.process!r} asked for {channel} without subscribing; "
+                f"it subscribed to {one_of(self._subscriptions)}."
+            )
+        return subscription
+
+    def freshness(self, channel: str, utime: int) -> Freshness:
+        """Judge a subscription; see `Bus.freshness`."""
+        subscription = self._subscription(channel)
+        row = subscription.channel
+        latest = subscription.latest
+        age_s = math.inf if latest is None else max(0, utime - latest.recv_utime) * 1e-6
+        alive = latest is not None and age_s <= row.stale_after_s
+        rate_ok = alive if row.rate_hz else True
+        if row.rate_hz and alive:
+            rate_ok = _rate_ok(subscription, utime)
+        verdict = (alive, rate_ok)
+        if subscription.judged is not None and verdict != subscription.judged:
+            log.warning(
+                "%s: %s alive=%s rate_ok=%s age=%.3f s",
+                self.process,
+                channel,
+                alive,
+                rate_ok,
+                age_s,
+            )
+        subscription.judged = verdict
+        return Freshness(
+            alive=alive,
+            rate_ok=rate_ok,
+            age_s=age_s,
+            count=subscription.count,
+            lost=self.counters.lost_on(channel),
+            rejected=self.counters.rejected_on(channel),
+        )
+
+    def close(self) -> None:
+        """Leave the bus; what arrived stays readable."""
+
+
+def _rate_ok(subscription: _Subscription, utime: int) -> bool:
+    """Compare the rate of the last full window with the nominal one; True until one is full."""
+    window = subscription.window
+    if window is None:
+        subscription.window = (utime, subscription.count, True)
+        return True
+    start, count_then, verdict = window
+    row = subscription.channel
+    length_us = max(RATE_WINDOW_US, int(10e6 / row.rate_hz))
+    elapsed = utime - start
+    if elapsed >= length_us:
+        rate_hz = (subscription.count - count_then) / (elapsed * 1e-6)
+        verdict = rate_hz >= RATE_TOLERANCE * row.rate_hz
+        subscription.window = (utime, subscription.count, verdict)
+    return verdict
