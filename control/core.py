@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from hashlib import blake2b
+from typing import Any, cast
 
 import numpy as np
 
@@ -273,7 +274,7 @@ def hash64(*arrays: object) -> int:
 
 def make_command(inputs: TickInput, mode: int, targets: JointTargets) -> g1_low_cmd_t:
     """Return a G1_LOW_CMD that answers the state of this tick."""
-    command = g1_low_cmd_t()
+    command: Any = g1_low_cmd_t()
     command.header.utime = inputs.utime
     command.state_seq = inputs.state.header.seq if inputs.state is not None else 0
     command.valid_until_utime = inputs.utime + COMMAND_VALID_US
@@ -283,4 +284,4 @@ def make_command(inputs: TickInput, mode: int, targets: JointTargets) -> g1_low_
     command.joint_torque_ff = np.zeros(29, np.float32)
     command.joint_stiffness = targets.joint_stiffness
     command.joint_damping = targets.joint_damping
-    return command
+    return cast(g1_low_cmd_t, command)

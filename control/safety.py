@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from downbeat.catalog.robot import load_g1
 from downbeat.control import faults as f
@@ -27,16 +29,14 @@ class RaisedFault:
     text: str
 
 
-@dataclass(slots=True)
 class SafetyMonitor:
     """Counts, per fault, for how many ticks its condition has held.
 
     Conditions are evaluated in a fixed order; `check_*` return the raised faults of this tick.
     """
 
-    _held: dict[int, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
+    def __init__(self) -> None:
+        self._held: dict[int, int] = {}
         robot = load_g1()
         self._names = robot.joint_names
         self._low = np.asarray(robot.joint_range[:, 0], np.float32)  # (29,)
@@ -50,7 +50,7 @@ class SafetyMonitor:
             out.append(RaisedFault(fault, fault.message.format(value)))
 
     def check_state(
-        self, state: RobotState | None, state_age_us: int, motor_fault: np.ndarray | None
+        self, state: RobotState | None, state_age_us: int, motor_fault: npt.NDArray[Any] | None
     ) -> list[RaisedFault]:
         """Return the faults that the measured state raises this tick."""
         out: list[RaisedFault] = []
@@ -69,7 +69,7 @@ class SafetyMonitor:
         self._hold_joint(f.MOTOR_FAULT, np.asarray(flags, np.float32), out)
         return out
 
-    def _hold_joint(self, fault: f.Fault, excess: np.ndarray, out: list[RaisedFault]) -> None:
+    def _hold_joint(self, fault: f.Fault, excess: F32, out: list[RaisedFault]) -> None:
         worst = int(np.argmax(excess))
         self._hold(fault, bool(excess[worst] > 0.0), self._names[worst], out)
 
