@@ -128,7 +128,9 @@ def mix(a: JointTargets, b: JointTargets, weight: float, hop: Hop, tick: int) ->
     )
 
 
-def start_playback(skill: Skill, hop: Hop, line: PhaseLine, utime: int, request_id: int) -> Playback:
+def start_playback(
+    skill: Skill, hop: Hop, line: PhaseLine, utime: int, request_id: int
+) -> Playback:
     """Begin to play `skill` with the blend of `hop` that starts at `utime`."""
     manifest = skill.manifest
     entry = 0.0 if hop.entry == "zero" else None

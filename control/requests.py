@@ -118,7 +118,9 @@ class RequestBook:
             known = one_of(self.skill_names)
             return f"Skill '{msg.skill}' is unknown; skills are {known} ({where})."
         if msg.request_id <= 0 or self._find((msg.source, msg.request_id)) is not None:
-            return f"Request id {msg.request_id} is not new; ids are > 0 and never reused ({where})."
+            return (
+                f"Request id {msg.request_id} is not new; ids are > 0 and never reused ({where})."
+            )
         if msg.expires_utime and msg.expires_utime < now:
             return f"The request expired {(now - msg.expires_utime) / 1e6:.2f} s ago ({where})."
         low, high = PHASE_RATE_RANGE

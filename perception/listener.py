@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
-
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t
 from downbeat.perception.features import F32
 from downbeat.perception.matcher import MusicMatcher
@@ -120,9 +119,7 @@ class ListenerNode:
         msg.name = self._source.recording.name
         self._bus.publish("AUDIO_SOURCE", msg)
 
-    def _publish_class(
-        self, utime: int, now: int, label: int, rms_dbfs: float, count: int
-    ) -> None:
+    def _publish_class(self, utime: int, now: int, label: int, rms_dbfs: float, count: int) -> None:
         msg: Any = audio_class_t()
         msg.header.utime = utime
         msg.window_end_utime = now

@@ -15,7 +15,6 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-
 from downbeat.perception import features as ft
 from downbeat.perception.features import F32
 from downbeat.perception.index import PAD_FRAMES, Index, coarse
@@ -286,5 +285,3 @@ def _pick(
         if len(kept) == count:
             break
     return np.array(kept, np.int64)
-
-
