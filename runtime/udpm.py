@@ -103,6 +103,30 @@ def _multicast_error(url: UdpmUrl, reason: str) -> MulticastError:
     )
 
 
+def drain(link: Any, timeout_ms: int = 0) -> int:
+    """Run the handlers of everything that has arrived on an `lcm.LCM`; never raises.
+
+    Args:
+        link: The connection.
+        timeout_ms: How long to wait for the first message.
+
+    Returns:
+        Messages handled.
+    """
+    count = 0
+    try:
+        if timeout_ms:
+            if not link.handle_timeout(timeout_ms):
+                return 0
+            count = 1
+        while count < MAX_PER_PUMP and link.handle_timeout(0):
+            count += 1
+    except OSError as error:
+        if error.errno != errno.EINTR:
+            log.error("receiving failed: %s", error)
+    return count
+
+
 class UdpmBus(Endpoint):
     """One process's LCM endpoint."""
 
@@ -110,7 +134,6 @@ class UdpmBus(Endpoint):
         super().__init__(clock, process, epoch=secrets.randbits(62))
         self._url = url
         self._links: dict[str, Any] = {"main": self._connect(0)}
-        self._taken = 0
 
     def _connect(self, port_offset: int) -> Any:
         check_multicast(self._url)
@@ -133,32 +156,18 @@ class UdpmBus(Endpoint):
                 log.error("not sent on %s: %s", channel, error)
 
     def _join(self, channel: Channel) -> None:
-        subscription = self._link(channel.group).subscribe(channel.name, self._on_message)
+        subscription = self._link(channel.group).subscribe(channel.name, self._receive)
         # A full queue keeps the OLDEST messages; 0: no limit, pump drains it.
         subscription.set_queue_capacity(0)
 
-    def _on_message(self, channel: str, payload: bytes) -> None:
-        self._taken += 1
-        self._receive(channel, payload)
-
     def pump(self, timeout_s: float = 0.0) -> int:
         """Take everything that has arrived; see `Bus.pump`."""
-        self._taken = 0
+        taken = 0
         timeout_ms = round(timeout_s * 1000)
         for link in self._links.values():
-            self._drain(link, timeout_ms)
+            taken += drain(link, timeout_ms)
             timeout_ms = 0
-        return self._taken
-
-    def _drain(self, link: Any, timeout_ms: int) -> None:
-        try:
-            if timeout_ms and not link.handle_timeout(timeout_ms):
-                return
-            while self._taken < MAX_PER_PUMP and link.handle_timeout(0):
-                pass
-        except OSError as error:
-            if error.errno != errno.EINTR:
-                log.error("receiving failed: %s", error)
+        return taken
 
     def close(self) -> None:
         """Leave the groups."""

@@ -9,6 +9,7 @@ import time
 import lcm
 import numpy as np
 import pytest
+from sample_messages import low_state, request
 
 from downbeat.lcm_types import (
     audio_chunk_t,
@@ -25,23 +26,8 @@ from downbeat.runtime.bus import (
     open_udpm,
     parse_udpm_url,
 )
-from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock, WallClock
+from downbeat.runtime.clock import SimClock, WallClock
 from downbeat.runtime.codec import CodecError, codec_for
-
-
-def low_state(utime=SIM_EPOCH_UTIME):
-    msg = g1_low_state_t()
-    msg.header.utime = utime
-    msg.imu_pelvis.quat = [1.0, 0.0, 0.0, 0.0]
-    msg.imu_torso.quat = [1.0, 0.0, 0.0, 0.0]
-    return msg
-
-
-def request(number=1):
-    msg = skill_request_t()
-    msg.request_id = number
-    msg.skill = "armwave"
-    return msg
 
 
 class Pair:
