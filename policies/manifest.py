@@ -50,7 +50,8 @@ class CertificateCase:
         runs, falls: How many runs, and how many of them fell.
         survived_s: Shortest time on the feet [s].
         rmse_rad: Largest RMS joint error against the reference [rad].
-        drift_m: Largest way that the feet crept [m].
+        drift_m: Largest way that the feet crept [m]; walking: largest distance off the line.
+        note: What else was measured.
     """
 
     name: str
@@ -60,6 +61,7 @@ class CertificateCase:
     survived_s: float
     rmse_rad: float
     drift_m: float
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +221,7 @@ def _certificate(table: Any, path: Path) -> Certificate:
     case_keys = {field.name for field in fields(CertificateCase)}
     cases = []
     for index, case in enumerate(table["case"]):
-        _check_keys(case, case_keys, case_keys, f"{where}.case[{index}]")
+        _check_keys(case, case_keys, case_keys - {"note"}, f"{where}.case[{index}]")
         cases.append(CertificateCase(**case))
     pushes = _numbers(table["pushes_n_s"], None, f"{where}.pushes_n_s")
     return Certificate(

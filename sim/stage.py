@@ -13,6 +13,8 @@ from functools import cache
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.catalog.mjcf import ModelOptions, g1_mjcf
 from downbeat.catalog.robot import load_g1
 from downbeat.control.player import mix, smoothstep
@@ -20,7 +22,6 @@ from downbeat.control.policy import F32, JointTargets, OnnxSkill, session
 from downbeat.control.transitions import Hop, Style
 from downbeat.policies.manifest import SkillManifest
 from downbeat.sim.noise import NO_NOISE, NoiseConfig
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 TICK_S = 0.02

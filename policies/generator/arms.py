@@ -9,9 +9,10 @@ forearm: inward when the arm hangs, up when it is abducted.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.policies.errors import PolicyError
 from downbeat.runtime.errors import one_of
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 Pose = str | tuple[float, ...]

@@ -6,34 +6,29 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
 from downbeat.policies.errors import PolicyError, SkillRejected
-from downbeat.policies.generator import checks, feedback
+from downbeat.policies.generator import checks, feedback, gait
 from downbeat.policies.generator.choreography import Choreography, sample
 from downbeat.policies.generator.dances_planted import PLANTED_DANCES
 from downbeat.policies.generator.dances_stepping import STEPPING_DANCES
-from downbeat.policies.generator.export import make_tables, write_onnx
+from downbeat.policies.generator.export import make_tables
 from downbeat.policies.generator.feedback import STAND_WEIGHTS, Feedback, Weights
 from downbeat.policies.generator.footsteps import StepStyle, dance_plan
 from downbeat.policies.generator.gestures import GESTURES
 from downbeat.policies.generator.model import TICK_S, BodyModel
+from downbeat.policies.generator.package import Label, write_skill
 from downbeat.policies.generator.reference import (
     Motion,
     Reference,
     build_reference,
     planted_feet,
 )
-from downbeat.policies.manifest import (
-    OBSERVATION_NAMES,
-    Kind,
-    SkillManifest,
-    file_sha256,
-    load_manifest,
-)
-from downbeat.policies.toml_text import to_toml
+from downbeat.policies.manifest import Kind, SkillManifest
 from downbeat.runtime.errors import one_of
 
 CHOREOGRAPHIES: dict[str, Choreography] = {**GESTURES, **PLANTED_DANCES, **STEPPING_DANCES}
-LICENCE = "Apache-2.0"
+SKILL_NAMES = (*CHOREOGRAPHIES, gait.LABEL.name)
 STAND_TICKS = 2
 ZMP_WINDOWS = ((0.02, 0.04), (0.015, 0.03), (0.01, 0.02))
 """Half widths [m] tried in turn: how far the weight may travel inside the feet."""
@@ -74,10 +69,10 @@ def choreography(name: str, bpm: float | None = None) -> Choreography:
     Raises:
         PolicyError: There is no such skill, or it has no tempo.
     """
+    if name == gait.LABEL.name:
+        raise PolicyError("Skill 'walk' follows a velocity, not a tempo; leave the tempo out.")
     if name not in CHOREOGRAPHIES:
-        raise PolicyError(
-            f"Skill '{name}' has no choreography; choreographies are {one_of(CHOREOGRAPHIES)}."
-        )
+        raise PolicyError(f"Skill '{name}' is unknown; skills are {one_of(SKILL_NAMES)}.")
     dance = CHOREOGRAPHIES[name]
     if bpm is None:
         return dance
@@ -157,7 +152,7 @@ def generate(
     """Build a skill and write `out_dir/NAME/NAME.onnx` and `manifest.toml`.
 
     Args:
-        name: A choreography, or "walk".
+        name: One of SKILL_NAMES.
         bpm: Tempo; None: the choreography's own.
         out_dir: Folder of skills.
         body: Model to build on; None: a fresh one.
@@ -166,38 +161,24 @@ def generate(
         PolicyError: Unknown name or tempo.
         SkillRejected: The choreography cannot be danced; the message has the numbers.
     """
+    if name == gait.LABEL.name and bpm is None:
+        return write_skill(gait.LABEL, gait.build_walk(body), out_dir, gait.GRID)
     skill = build(choreography(name, bpm), body)
-    return write_skill(skill, out_dir)
-
-
-def write_skill(skill: BuiltSkill, out_dir: Path) -> SkillManifest:
-    """Write a built skill's files and return its manifest."""
-    dance = skill.dance
-    folder = out_dir / dance.name
-    path = folder / f"{dance.name}.onnx"
     tables = make_tables([skill.reference.target], [skill.feedback.obs_ref], [skill.feedback.gain])
-    write_onnx(path, dance.name, tables)
-    tempo = [0.0, 0.0]
-    if dance.has_beat:
-        tempo = [float(round(dance.bpm * factor)) for factor in TEMPO_MARGIN]
-    table: dict[str, object] = {
-        "name": dance.name,
-        "title": dance.title,
-        "file": path.name,
-        "sha256": file_sha256(path),
-        "licence": LICENCE,
-        "kind": skill.kind,
-        "loop": dance.loop,
-        "rate_hz": round(1.0 / TICK_S),
-        "duration_s": duration_s(dance),
-        "ticks": len(skill.reference.qpos),
-        "bpm": dance.bpm if dance.has_beat else 0.0,
-        "beats": dance.beats if dance.has_beat else 0,
-        "tempo_range_bpm": tempo,
-        "observation_names": list(OBSERVATION_NAMES),
-        "phrases": list(dance.phrases),
-    }
-    if dance.steps:
-        table |= {"entry_phases_s": [0.0], "exit_phases_s": [0.0]}
-    (folder / "manifest.toml").write_text(to_toml(table), encoding="utf-8")
-    return load_manifest(folder / "manifest.toml")
+    return write_skill(_label(skill), tables, out_dir)
+
+
+def _label(skill: BuiltSkill) -> Label:
+    dance = skill.dance
+    label = Label(
+        name=dance.name,
+        title=dance.title,
+        kind=skill.kind,
+        duration_s=duration_s(dance),
+        loop=dance.loop,
+        phrases=dance.phrases,
+    )
+    if not dance.has_beat:
+        return label
+    low, high = (float(round(dance.bpm * factor)) for factor in TEMPO_MARGIN)
+    return replace(label, bpm=dance.bpm, beats=dance.beats, tempo_range_bpm=(low, high))

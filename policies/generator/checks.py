@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+
 from downbeat.catalog.mjcf import FLOOR
 from downbeat.policies.errors import SkillRejected
 from downbeat.policies.generator.feedback import Feedback

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.catalog.robot import load_g1
 from downbeat.policies.errors import PolicyError
 from downbeat.policies.generator.arms import Pose, left_arm, right_arm
 from downbeat.runtime.errors import one_of
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 NUM_LEG_JOINTS = 12

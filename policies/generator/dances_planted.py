@@ -72,7 +72,7 @@ PUMP = Choreography(
     title="Pump",
     beats=4,
     phrases=("pump", "pump it", "raise the roof"),
-    arms=ArmKeys(keys=((0.0, (-2.3, 0.35, 0.0, 0.9), (-2.3, 0.35, 0.0, 0.9)),), move_beats=1.0),
+    arms=ArmKeys(keys=((0.0, (-2.3, 0.5, 0.2, 0.9), (-2.3, 0.5, 0.2, 0.9)),), move_beats=1.0),
     moves=(
         Wave("pelvis_z", -0.09, 2.0, shape="bounce"),
         Wave("pelvis_pitch", 0.08, 2.0, shape="bounce"),

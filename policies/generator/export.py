@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-from downbeat.catalog.robot import Robot, load_g1
-from downbeat.policies.manifest import OBSERVATION_NAMES, OBSERVATION_SIZE
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
+
+from downbeat.catalog.robot import Robot, load_g1
+from downbeat.policies.manifest import OBSERVATION_NAMES, OBSERVATION_SIZE
 
 F64 = NDArray[np.float64]
 OPSET = 13

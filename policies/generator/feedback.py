@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.policies.generator.model import (
     NUM_JOINTS,
     NV,
@@ -21,7 +23,6 @@ from downbeat.policies.generator.model import (
 )
 from downbeat.policies.generator.reference import Reference
 from downbeat.policies.manifest import OBSERVATION_SIZE
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 POS_STEP = 2e-5

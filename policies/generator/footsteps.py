@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.policies.generator.choreography import Step, minimum_jerk
 from downbeat.policies.generator.model import SIDES
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 STANCE_HALF_WIDTH_M = 0.1185

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.catalog.mjcf import ModelOptions, g1_mjcf
 from downbeat.catalog.robot import load_g1
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 TICK_S = 0.02

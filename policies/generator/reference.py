@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.policies.generator.choreography import BodyMotion
 from downbeat.policies.generator.footsteps import (
     FOOT_FRAME_HEIGHT_M,
@@ -28,7 +30,6 @@ from downbeat.policies.generator.model import (
     quat_from_yaw,
     rotation,
 )
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 GRAVITY = 9.81
