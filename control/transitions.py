@@ -108,7 +108,8 @@ def _from_planted(active: SkillManifest, goal: Goal, now: int) -> Hop:
         start = goal.onset_utime - half_us(PLANTED_BLEND_TICKS)
         return Hop(max(start, now), skill.name, PLANTED_BLEND_TICKS)
     blend = WALK_BLEND_TICKS if skill.kind == "locomotion" else FOOTWORK_BLEND_TICKS
-    onset = _footwork_onset(goal, now + half_us(blend))
+    # Half a tick of grace: a start that falls between two ticks is still caught by the second.
+    onset = _footwork_onset(goal, now + half_us(blend) - TICK_US // 2)
     if active.name == "stand":
         return Hop(max(onset - half_us(blend), now), skill.name, blend, entry="zero")
     lead = half_us(blend) + (STAND_HOLD_TICKS + PLANTED_BLEND_TICKS) * TICK_US

@@ -44,20 +44,18 @@ class Conductor:
         self._is_standing = True
         self._sounding_utime = 0
         self._retimed_utime = 0
+        self._is_lost = True
 
     # ------------------------------------------------------------------ inputs
 
     def hear(self, match: music_match_t) -> None:
-        """Take a MUSIC_MATCH: only a lock counts, a lost one cancels what was planned."""
+        """Take a MUSIC_MATCH: only a lock counts."""
         if match.lock == music_match_t.LOCKED and match.rate > 0.0:
             self._place = (match.track, int(match.track_zero_utime))
-            self._lock_utime = int(match.header.utime)
-            self._lost_since_utime = None
-        elif match.lock == music_match_t.LOST and self._lost_since_utime is None:
-            self._lost_since_utime = int(match.header.utime)
-
-    _lock_utime = 0
-    _lost_since_utime: int | None = None
+            self._is_lost = False
+            self._timeline.lock(*self._place, int(match.header.utime))
+        elif match.lock == music_match_t.LOST:
+            self._is_lost = True
 
     def sound(self, label: int, utime: int) -> None:
         """Take an AUDIO_CLASS."""
@@ -85,13 +83,11 @@ class Conductor:
         return out
 
     def _where(self, now: int) -> tuple[str, int] | None:
-        """Return (track, zero) believed in: the lock, or past a cut what the set list says."""
-        if self._place is None:
-            return None
-        said = self._timeline.after_cut(*self._place, now)
-        if said is not None:
-            return said
-        return None if self._lost_since_utime is not None else self._place
+        """Return (track, zero) believed in: what the set list says, else the lock."""
+        scheduled = self._timeline.scheduled(now)
+        if scheduled is not None:
+            return scheduled
+        return None if self._is_lost else self._place
 
     def _promote(self, now: int) -> None:
         """What was asked ahead is current once its time has come."""
@@ -137,14 +133,15 @@ class Conductor:
         if current is None or now - self._retimed_utime < RETIME_PERIOD_US:
             return
         skill = self._skills[current.span.skill]
-        if skill.bpm <= 0.0 or self._place is None or self._place[0] != current.span.track:
+        place = self._where(now)
+        if skill.bpm <= 0.0 or place is None or place[0] != current.span.track:
             return
-        moved = self._place[1] - current.span.track_zero_utime
+        moved = place[1] - current.span.track_zero_utime
         span = Span(
             current.span.track,
             current.span.skill,
             current.span.start_utime + moved,
-            self._place[1],
+            place[1],
         )
         fit = self._timeline.phase(span, skill, now)
         old = current.line.phase_s + current.line.rate * (now - current.line.utime) * 1e-6

@@ -208,8 +208,10 @@ class AlignmentMatcher:
         begin_fine = max(0, first)
         stop = min(len(fine), begin_fine + 2 * frames)
         own = self._fine_energy[track]
-        reference_energy = max(own[stop] - own[min(begin_fine, len(fine))], 1e3)
-        similarity = float(scores[r, d]) / np.sqrt(reference_energy * energy)
+        # A quiet reference must not blow a chance likeness up: at least a quarter of the usual.
+        usual = own[-1] / len(fine) * 2 * frames
+        reference_energy = max(own[stop] - own[min(begin_fine, len(fine))], 0.25 * usual, 1.0)
+        similarity = min(float(scores[r, d]) / np.sqrt(reference_energy * energy), 1.0)
         rate = float(rates[r])
         # The line is centred on the window; at another rate the window starts elsewhere.
         start = first + float(offsets[d]) + nudge + 2.0 * centre * (1.0 - rate) - PAD_FRAMES

@@ -9,6 +9,9 @@ from typing import Protocol
 from downbeat.catalog.setlist import SetList
 from downbeat.catalog.tracks import Track
 
+SAME_ANCHOR_US = 80_000
+DOUBT_US = 3_000_000
+"""A lock that puts the show elsewhere must hold for this long: music repeats itself."""
 SET_TOLERANCE_S = 1.0
 """How far outside its passage a position may lie and still belong to a set entry."""
 
@@ -64,84 +67,99 @@ class PhaseFit:
 
 
 class Timeline:
-    """Turns a track position into the current span and the next one."""
+    """Turns a track position into the current span and the next one.
+
+    With a set list the whole show hangs on one number, the time at which it began (`anchor`): it is
+    found by the first lock and then carries over cuts and lost locks.
+    """
 
     def __init__(self, tracks: Mapping[str, Track], set_list: SetList | None = None) -> None:
         self._tracks = tracks
         self._set = set_list
-        self._set_index = 0
+        self._starts_s = [] if set_list is None else set_list.starts_s()
+        self._anchor: int | None = None
+        self._doubt_since_utime: int | None = None
 
-    def spans(self, track: str, zero: int, now: int) -> tuple[Span, Span | None]:
-        """Return the span at `now` and the one after it, given the lock."""
-        tau_s = (now - zero) * 1e-6
-        entry = self._entry_of(track, tau_s)
-        if entry is None:
-            return self._in_track(track, zero, now, None)
-        row = self._set.entries[entry] if self._set else None
-        assert row is not None
-        cut_utime = zero + round((row.from_s + row.seconds) * 1e6)
-        return self._in_track(track, zero, now, (entry, cut_utime))
+    @property
+    def has_set_list(self) -> bool:
+        """Whether cuts are known ahead."""
+        return self._set is not None
 
-    def after_cut(self, track: str, zero: int, now: int) -> tuple[str, int] | None:
-        """Return (track, zero) that the set list says must play at `now`, if it says so."""
-        entry = self._entry_of(track, self._last_tau_s(track, zero, now))
-        if entry is None or self._set is None:
-            return None
-        at = zero + round((self._set.entries[entry].from_s) * 1e6)
-        for row in self._set.entries[entry:]:
-            end = at + round(row.seconds * 1e6)
-            if at <= now < end:
-                return row.track, at - round(row.from_s * 1e6)
-            at = end
-        return None
+    def lock(self, track: str, zero: int, now: int) -> None:
+        """Take a lock: place the show in time. A contradiction must last to be believed."""
+        candidates = self._anchors(track, (now - zero) * 1e-6, zero)
+        if not candidates:
+            return
+        if self._anchor is None:
+            self._anchor = candidates[0]
+            return
+        before = self._anchor
+        nearest = min(candidates, key=lambda anchor: abs(anchor - before))
+        if abs(nearest - before) <= SAME_ANCHOR_US:
+            self._anchor = nearest
+            self._doubt_since_utime = None
+        elif self._doubt_since_utime is None:
+            self._doubt_since_utime = now
+        elif now - self._doubt_since_utime > DOUBT_US:
+            self._anchor = nearest
+            self._doubt_since_utime = None
 
-    def _last_tau_s(self, track: str, zero: int, now: int) -> float:
-        """The position, clamped into the passage that the lock was in."""
-        tau_s = (now - zero) * 1e-6
+    def _anchors(self, track: str, tau_s: float, zero: int) -> list[int]:
+        """Return the show beginnings under which `track` would be at `tau_s` now."""
         if self._set is None:
-            return tau_s
-        row = self._set.entries[self._set_index]
-        return min(tau_s, row.from_s + row.seconds) if row.track == track else tau_s
+            return []
+        return [
+            zero + round((row.from_s - start_s) * 1e6)
+            for row, start_s in zip(self._set.entries, self._starts_s)
+            if row.track == track
+            and row.from_s - SET_TOLERANCE_S <= tau_s <= row.from_s + row.seconds + SET_TOLERANCE_S
+        ]
 
-    def _entry_of(self, track: str, tau_s: float) -> int | None:
-        """Return the set entry that a position belongs to; the next fitting one wins."""
-        if self._set is None:
+    def scheduled(self, now: int) -> tuple[str, int] | None:
+        """Return (track, zero) that the set list says must play at `now`, None if it says nothing."""
+        entry = self._entry_at(now)
+        if entry is None or self._set is None or self._anchor is None:
             return None
-        count = len(self._set.entries)
-        for step in range(count):
-            index = (self._set_index + step) % count
-            row = self._set.entries[index]
-            low, high = row.from_s - SET_TOLERANCE_S, row.from_s + row.seconds + SET_TOLERANCE_S
-            if row.track == track and low <= tau_s <= high:
-                self._set_index = index
+        row = self._set.entries[entry]
+        begin = self._anchor + round(self._starts_s[entry] * 1e6)
+        return row.track, begin - round(row.from_s * 1e6)
+
+    def _entry_at(self, now: int) -> int | None:
+        if self._set is None or self._anchor is None:
+            return None
+        show_s = (now - self._anchor) * 1e-6
+        for index, row in enumerate(self._set.entries):
+            if self._starts_s[index] <= show_s < self._starts_s[index] + row.seconds:
                 return index
         return None
 
-    def _in_track(
-        self, name: str, zero: int, now: int, cut: tuple[int, int] | None
-    ) -> tuple[Span, Span | None]:
+    def spans(self, name: str, zero: int, now: int) -> tuple[Span, Span | None]:
+        """Return the span at `now` and the one after it, given track and position."""
         track = self._tracks[name]
         tau_s = (now - zero) * 1e-6
+        entry = self._entry_at(now)
         begin_s = self._span_begin_s(track, tau_s)
-        if cut is not None and self._set is not None:
-            begin_s = max(begin_s, self._set.entries[cut[0]].from_s)
+        if entry is not None and self._set is not None:
+            begin_s = max(begin_s, self._set.entries[entry].from_s)
         here = Span(name, track.skill_at(tau_s), zero + round(begin_s * 1e6), zero)
-        change = track.next_change_s(tau_s)
-        change_utime = None if change is None else zero + round(change * 1e6)
-        if cut is not None and (change_utime is None or change_utime >= cut[1]):
-            return here, self._first_of(cut[0] + 1, cut[1])
-        if change is None or change_utime is None:
+        change_s = track.next_change_s(tau_s)
+        change = None if change_s is None else zero + round(change_s * 1e6)
+        if entry is not None and self._set is not None and self._anchor is not None:
+            row = self._set.entries[entry]
+            cut = self._anchor + round((self._starts_s[entry] + row.seconds) * 1e6)
+            if change is None or change >= cut:
+                return here, self._first_of(entry + 1, cut)
+        if change_s is None or change is None:
             return here, None
-        return here, Span(name, track.skill_at(change), change_utime, zero)
+        return here, Span(name, track.skill_at(change_s), change, zero)
 
     def _first_of(self, entry: int, utime: int) -> Span | None:
         """Return the span that begins with a set entry."""
         if self._set is None or entry >= len(self._set.entries):
             return None
         row = self._set.entries[entry]
-        track = self._tracks[row.track]
         zero = utime - round(row.from_s * 1e6)
-        return Span(row.track, track.skill_at(row.from_s), utime, zero)
+        return Span(row.track, self._tracks[row.track].skill_at(row.from_s), utime, zero)
 
     @staticmethod
     def _span_begin_s(track: Track, tau_s: float) -> float:

@@ -1,0 +1,91 @@
+"""`downbeat eval mashup`: the paper's M20 and M30 on any recordings."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from downbeat.policies.manifest import load_skills
+from downbeat.tools.commands.evaluate import Mashup as MashupArgs
+from downbeat.tools.errors import ToolError
+from downbeat.tools.finish import finish_run
+from downbeat.tools.mashup import Mashup, build_mashup, seeded_set_list
+from downbeat.tools.recordings import INDEX_NAME, Library, build_library, with_duration
+from downbeat.tools.rundir import new_run_dir
+from downbeat.tools.show import SHOW_NAME, Show, ShowConfig, load_show
+
+
+def say(text: str) -> None:
+    """Print progress to standard error; standard output is for results."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def dance_names() -> list[str]:
+    """Return the bundled dances: what has beats and is not walked."""
+    skills = load_skills()
+    return [n for n, m in skills.items() if m.bpm > 0 and m.kind != "locomotion"]
+
+
+def run_eval_mashup(args: MashupArgs) -> int:
+    """Build, run, report; 0 if the robot stayed up and followed every section."""
+    if args.section_seconds < 5.0 or args.sections < 2:
+        raise ToolError(
+            f"--section-seconds {args.section_seconds} and --sections {args.sections} cannot be "
+            "run; sections must last at least 5 s and there must be at least 2."
+        )
+    run_dir = new_run_dir(args.runs)
+    skills: Sequence[str] = dance_names() if args.rules is None else sorted(load_skills())
+    library = build_library(args.tracks, run_dir / "catalog", skills, args.seed, args.rules, say)
+    tracks = {n: with_duration(t, library.recordings[n]) for n, t in library.tracks.items()}
+    set_list, left_out = seeded_set_list(tracks, args.section_seconds, args.sections, args.seed)
+    if left_out:
+        say(f"left out (shorter than {args.section_seconds} s): {', '.join(left_out)}")
+    mashup = build_mashup(set_list, tracks, library.recordings, args.announced, left_out)
+    mashup.truth["seed"] = args.seed
+    show = write_show(run_dir, mashup, library, args.seed)
+    play(show, run_dir, mashup, args.realtime, args.url)
+    metrics = finish_run(run_dir, video=args.video, quiet=args.json)
+    metrics["left_out"] = list(left_out)
+    if args.json:
+        print(json.dumps(metrics))
+    return 0 if metrics["good"] else 1
+
+
+def write_show(run_dir: Path, mashup: Mashup, library: Library, seed: int) -> Show:
+    """Write the files of a show into its run folder."""
+    mashup.write(run_dir)
+    folder = library.folder.relative_to(run_dir).as_posix()
+    config = ShowConfig(
+        audio="mashup.wav",
+        tracks=folder,
+        index=f"{folder}/{INDEX_NAME}",
+        set_list="setlist.toml" if mashup.truth["announced"] else "",
+        seed=seed,
+    )
+    path = run_dir / SHOW_NAME
+    path.write_text(config.to_toml(), encoding="utf-8")
+    return load_show(path)
+
+
+def play(show: Show, run_dir: Path, mashup: Mashup, realtime: bool, url: str) -> None:
+    """Run the show in real time or in lockstep."""
+    duration_s = float(mashup.truth["duration_s"])
+    if realtime:
+        from downbeat.tools.run_realtime import run_realtime
+
+        run_realtime(show, run_dir, duration_s, url)
+        return
+    from downbeat.tools.run_lockstep import run_lockstep
+
+    def progress(done_s: int, total_s: float) -> None:
+        if sys.stderr.isatty() or done_s % 20 == 0:
+            end = "\r" if sys.stderr.isatty() else "\n"
+            print(f"lockstep {done_s:4d} / {total_s:.0f} s", end=end, file=sys.stderr, flush=True)
+
+    speed = run_lockstep(show, run_dir, duration_s, progress)
+    note: dict[str, Any] = {"lockstep_speed": round(speed, 2)}
+    (run_dir / "run.json").write_text(json.dumps(note), encoding="utf-8")
+    say(f"lockstep ran {speed:.1f} times faster than real time on one core")

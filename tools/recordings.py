@@ -1,0 +1,194 @@
+"""Catalogues made of a folder of recordings: tempo, sections with skills, fingerprint index."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from downbeat.catalog.beatgrid import BeatGrid
+from downbeat.catalog.tracks import Rule, Track, load_tracks
+from downbeat.perception.beats import estimate_grid
+from downbeat.perception.errors import PerceptionError
+from downbeat.perception.index import FORMAT, Index
+from downbeat.perception.source import Recording, audio_files, load_recording
+from downbeat.tools.rundir import CACHE_DIR
+
+SECTION_BARS = 8
+MIN_SECTION_S, MAX_SECTION_S = 8.0, 16.0
+INDEX_NAME = "index.npz"
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Library:
+    """A folder of recordings, analysed.
+
+    Attributes:
+        tracks: By name; rules assign skills.
+        recordings: By name.
+        folder: Holds NAME.toml and index.npz.
+    """
+
+    tracks: dict[str, Track]
+    recordings: dict[str, Recording]
+    folder: Path
+
+
+def build_library(
+    audio_folder: Path,
+    out: Path,
+    skills: Sequence[str],
+    seed: int,
+    rules: Path | None = None,
+    say: Say = print,
+) -> Library:
+    """Analyse every recording of a folder.
+
+    Args:
+        audio_folder: wav, flac, ogg, mp3.
+        out: Receives the track files and the index.
+        skills: Dances to assign, if there is no rules folder.
+        seed: Of the assignment.
+        rules: Folder of track files to use instead; each names its audio.
+        say: Progress.
+
+    Raises:
+        DownbeatError: No recording, or a wrong rules file.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    recordings: dict[str, Recording] = {}
+    for path in audio_files(audio_folder):
+        try:
+            recordings[path.stem] = load_recording(path)
+        except PerceptionError as error:
+            say(f"left out: {error}")
+    if not recordings:
+        raise PerceptionError(f"{audio_folder} holds no recording that can be read.")
+    grids = {name: _grid(r, say) for name, r in recordings.items()}
+    if rules is not None:
+        tracks = load_tracks(rules, skills)
+        recordings = {n: _own_audio(t, recordings) for n, t in tracks.items()}
+        for path in rules.glob("*.toml"):
+            shutil.copy(path, out / path.name)
+    else:
+        tracks = assign_skills(recordings, grids, skills, seed)
+        for track in tracks.values():
+            write_track(out / f"{track.name}.toml", track)
+    build_index(recordings, out / INDEX_NAME)
+    return Library(tracks, recordings, out)
+
+
+def _own_audio(track: Track, recordings: Mapping[str, Recording]) -> Recording:
+    if track.audio is not None:
+        return load_recording(track.audio)
+    if track.name not in recordings:
+        raise PerceptionError(f"Track '{track.name}' has no recording ({track.where}:audio).")
+    return recordings[track.name]
+
+
+def _grid(recording: Recording, say: Say) -> BeatGrid:
+    """Return the beat grid; analysing takes seconds, so it is cached by content."""
+    from downbeat.runtime.journal import JOURNAL_VERSION  # any change of code: delete the cache
+
+    digest = hashlib.sha256(recording.samples.tobytes() + bytes([JOURNAL_VERSION]))
+    cached = CACHE_DIR / "grids" / f"{digest.hexdigest()[:24]}.npz"
+    if cached.is_file():
+        with np.load(cached) as data:
+            bpm, first = (float(v) for v in data["tempo"])
+            return BeatGrid(bpm, first, beat_times_s=tuple(float(t) for t in data["times"]))
+    say(f"finding the beats of {recording.name}")
+    grid = estimate_grid(recording.samples, recording.sample_rate_hz)
+    cached.parent.mkdir(parents=True, exist_ok=True)
+    tempo = np.array([grid.tempo_bpm, grid.first_beat_s])
+    np.savez(cached, tempo=tempo, times=np.array(grid.beat_times_s))
+    return grid
+
+
+def assign_skills(
+    recordings: Mapping[str, Recording],
+    grids: Mapping[str, BeatGrid],
+    skills: Sequence[str],
+    seed: int,
+) -> dict[str, Track]:
+    """Give every track sections of some bars, each with the next skill of a shuffled list."""
+    rng = np.random.default_rng(seed)
+    order = [str(s) for s in rng.permutation(list(skills))]
+    tracks: dict[str, Track] = {}
+    position = 0
+    for name, recording in recordings.items():
+        rules = []
+        for start_s, end_s in _section_edges(grids[name], recording.duration_s):
+            rules.append(Rule(start_s, end_s, order[position % len(order)]))
+            position += 1
+        default = order[position % len(order)]
+        tracks[name] = Track(
+            name, default, grids[name], tuple(rules), name, duration_s=recording.duration_s
+        )
+        position += 1
+    return tracks
+
+
+def _section_edges(grid: BeatGrid, duration_s: float) -> list[tuple[float, float]]:
+    """Cut a track at bars, 8 to 16 s apart."""
+    bar = grid.beats_per_bar
+    bars = SECTION_BARS
+    bar_s = bar * 60.0 / grid.tempo_bpm
+    while bars * bar_s > MAX_SECTION_S and bars > 1:
+        bars //= 2
+    while bars * bar_s < MIN_SECTION_S:
+        bars *= 2
+    edges = [0.0]
+    beat = bars * bar
+    while (edge := grid.time_of(beat)) < duration_s - MIN_SECTION_S:
+        if edge - edges[-1] >= 0.5 * MIN_SECTION_S:
+            edges.append(round(edge, 4))
+        beat += bars * bar
+    edges.append(round(duration_s, 4))
+    return list(zip(edges[:-1], edges[1:]))
+
+
+def write_track(path: Path, track: Track) -> None:
+    """Write a track file that `load_tracks` reads."""
+    rows = [
+        f'name = "{track.name}"',
+        f'title = "{track.title}"',
+        f'composition = "{track.composition or track.name}"',
+        f"duration_s = {track.duration_s!r}",
+        f"tempo_bpm = {track.grid.tempo_bpm!r}",
+        f"first_beat_s = {track.grid.first_beat_s!r}",
+        f"beats_per_bar = {track.grid.beats_per_bar}",
+        f'default_skill = "{track.default_skill}"',
+    ]
+    if track.grid.beat_times_s:
+        rows.append(f"beat_times_s = {list(track.grid.beat_times_s)!r}")
+    for rule in track.rules:
+        rows += ["", "[[section]]", f"start_s = {rule.start_s!r}", f"end_s = {rule.end_s!r}"]
+        rows.append(f'skill = "{rule.skill}"')
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def build_index(recordings: Mapping[str, Recording], path: Path) -> None:
+    """Index single tracks; cached by content, because a show indexes the same tracks again."""
+    digest = hashlib.sha256(FORMAT.encode())
+    for name, recording in recordings.items():
+        digest.update(name.encode() + recording.samples.tobytes())
+    cached = CACHE_DIR / "indexes" / f"{digest.hexdigest()[:24]}.npz"
+    if not cached.is_file():
+        index = Index()
+        for name, recording in recordings.items():
+            index.add(name, recording.samples, recording.sample_rate_hz)
+        cached.parent.mkdir(parents=True, exist_ok=True)
+        temporary = cached.with_suffix(".part")
+        index.save(temporary)
+        temporary.replace(cached)
+    shutil.copy(cached, path)
+
+
+def with_duration(track: Track, recording: Recording) -> Track:
+    """Return the track with the length of its recording."""
+    return replace(track, duration_s=recording.duration_s)

@@ -1,0 +1,134 @@
+"""A show: which files and settings its processes share, and how each process is built."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from downbeat.catalog.setlist import load_setlist
+from downbeat.catalog.tracks import Track, load_tracks
+from downbeat.control.core import ControlCore, TickInput, TickOutput
+from downbeat.control.node import ControlNode
+from downbeat.control.policy import SkillLibrary
+from downbeat.policies.manifest import load_skills
+from downbeat.runtime.bus import Bus
+from downbeat.runtime.config import load_config, plain
+
+SHOW_NAME = "show.toml"
+
+
+@dataclass(frozen=True)
+class ShowConfig:
+    """Content of show.toml; paths are relative to its folder.
+
+    Attributes:
+        audio: The sound file.
+        tracks: Folder of track files.
+        index: Fingerprint index.
+        set_list: Set list of an announced show, empty: cuts are a surprise.
+        skills: Folder of skills, empty: the bundled ones.
+        seed: Of the plant's noise.
+        sensor_noise: Whether the plant's sensors are noisy.
+        command_delay_us: From a command to its effect on the motors [us].
+    """
+
+    audio: str
+    tracks: str
+    index: str
+    set_list: str = ""
+    skills: str = ""
+    seed: int = 0
+    sensor_noise: bool = True
+    command_delay_us: int = 4_000
+
+    def to_toml(self) -> str:
+        """Return the show as TOML."""
+        return "".join(f"{key} = {json.dumps(value)}\n" for key, value in plain(self).items())
+
+
+@dataclass(frozen=True)
+class Show:
+    """A show file and where it lies."""
+
+    config: ShowConfig
+    folder: Path
+
+    def path(self, name: str) -> Path:
+        """Return a file of the show."""
+        return self.folder / name
+
+
+def load_show(path: Path) -> Show:
+    """Read show.toml.
+
+    Raises:
+        DownbeatError: Missing, not TOML, an unknown key or a wrong type (file:key).
+    """
+    return Show(load_config(path, ShowConfig), path.parent)
+
+
+def skills_folder(show: Show) -> Path | None:
+    """Return the folder of skills, None for the bundled ones."""
+    return show.path(show.config.skills) if show.config.skills else None
+
+
+def show_tracks(show: Show) -> dict[str, Track]:
+    """Return the show's tracks, with every rule's skill checked."""
+    return load_tracks(show.path(show.config.tracks), load_skills(skills_folder(show)))
+
+
+def make_sim(show: Show, bus: Bus) -> Any:
+    """Build the plant process."""
+    from downbeat.sim.node import SimNode
+    from downbeat.sim.noise import NO_NOISE, NoiseConfig
+    from downbeat.sim.plant import PlantConfig
+
+    noise = NoiseConfig() if show.config.sensor_noise else NO_NOISE
+    settings = show.config
+    config = PlantConfig(
+        noise=noise, seed=settings.seed, command_delay_us=settings.command_delay_us
+    )
+    return SimNode(bus, config)
+
+
+def make_listener(show: Show, bus: Bus, first_sample_utime: int) -> Any:
+    """Build the listener process; its file starts to sound at `first_sample_utime`."""
+    from downbeat.perception.listener import ListenerNode
+    from downbeat.perception.matcher import AlignmentMatcher
+    from downbeat.perception.source import FileSource, load_recording
+
+    tracks = show_tracks(show)
+
+    def next_boundary_s(track: str, tau_s: float) -> float | None:
+        return tracks[track].next_change_s(tau_s) if track in tracks else None
+
+    source = FileSource(load_recording(show.path(show.config.audio)), first_sample_utime)
+    matcher = AlignmentMatcher.load(show.path(show.config.index))
+    return ListenerNode(bus, source, matcher, next_boundary_s)
+
+
+def make_conductor(show: Show, bus: Bus) -> Any:
+    """Build the conductor process."""
+    from downbeat.perception.conductor import Conductor, ConductorNode
+    from downbeat.perception.timeline import Timeline
+
+    tracks = show_tracks(show)
+    set_list = (
+        load_setlist(show.path(show.config.set_list), tracks) if show.config.set_list else None
+    )
+    conductor = Conductor(Timeline(tracks, set_list), load_skills(skills_folder(show)))
+    return ConductorNode(bus, conductor, frozenset(tracks))
+
+
+def make_control(
+    show: Show,
+    bus: Bus,
+    journal: Callable[[TickInput, TickOutput], None] | None = None,
+    timing: Callable[[], tuple[int, int, int]] | None = None,
+) -> ControlNode:
+    """Build the control process."""
+    library = SkillLibrary.load(skills_folder(show))
+    return ControlNode(bus, ControlCore(library), journal, timing)
