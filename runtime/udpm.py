@@ -13,7 +13,6 @@ from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
 import lcm
-
 from downbeat.lcm_types.channels import CHANNELS, Channel
 from downbeat.runtime.bus_types import BusError
 from downbeat.runtime.clock import Clock

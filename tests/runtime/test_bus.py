@@ -9,8 +9,6 @@ import time
 import lcm
 import numpy as np
 import pytest
-from sample_messages import low_state, request
-
 from downbeat.lcm_types import (
     audio_chunk_t,
     estop_t,
@@ -28,6 +26,7 @@ from downbeat.runtime.bus import (
 )
 from downbeat.runtime.clock import SimClock, WallClock
 from downbeat.runtime.codec import CodecError, codec_for
+from sample_messages import low_state, request
 
 
 class Pair:

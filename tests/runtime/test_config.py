@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-
 from downbeat.runtime.config import ConfigError, load_config, plain
 
 
