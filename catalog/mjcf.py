@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from downbeat.catalog.appearance import add_appearance, add_stage
+from downbeat.catalog.appearance import add_appearance
 from downbeat.catalog.errors import CatalogError
 from downbeat.catalog.robot import FACTS_PATH, Robot, load_facts, load_g1
+from downbeat.catalog.stage import add_stage
 from downbeat.runtime.errors import one_of
 
 FLOOR = "floor"
