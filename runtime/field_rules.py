@@ -67,7 +67,7 @@ RANGES: Mapping[str, tuple[float | None, float | None]] = {
     "header_t.seq": (0, None),
     "imu_t.quat": (-1.01, 1.01),
     "imu_t.gyro": (-200.0, 200.0),
-    "imu_t.accel": (-2000.0, 2000.0),
+    "imu_t.accel": (-1e4, 1e4),
     "imu_t.rpy": (-6.3, 6.3),
     "g1_low_state_t.joint_pos": (-10.0, 10.0),
     "g1_low_state_t.joint_vel": (-200.0, 200.0),

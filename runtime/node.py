@@ -69,11 +69,16 @@ class Heartbeat:
         self._state = -1
         self._missed = 0
 
-    def beat(self, utime: int, missed: int = 0) -> None:
-        """Publish if due; DEGRADED while deadlines were missed since the last one."""
+    def beat(self, utime: int, missed: int = 0, node: Node | None = None) -> None:
+        """Publish if due; DEGRADED while deadlines were missed since the last one.
+
+        A node may have a `detail: str`, which then goes with it.
+        """
         if utime >= self._next_utime:
             is_degraded = missed > self._missed
-            detail = f"{missed - self._missed} deadlines missed" if is_degraded else ""
+            detail = str(getattr(node, "detail", ""))
+            if is_degraded:
+                detail = f"{missed - self._missed} deadlines missed {detail}".rstrip()
             self._missed = missed
             state = heartbeat_t.DEGRADED if is_degraded else heartbeat_t.READY
             self.publish(utime, state, detail)
@@ -125,7 +130,7 @@ def run_node(
                 node.step(utime)
                 steps += 1
                 if heartbeat is not None:
-                    heartbeat.beat(utime, keeper.missed)
+                    heartbeat.beat(utime, keeper.missed, node)
                 if should_stop is not None and should_stop():
                     break
         finally:

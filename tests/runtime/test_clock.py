@@ -154,6 +154,14 @@ def test_missed_deadlines_show_in_the_heartbeat():
     assert degraded == ["3 deadlines missed"]
 
 
+def test_what_a_node_says_of_itself_goes_with_the_heartbeat():
+    clock = ScriptedClock(SIM_EPOCH_UTIME)
+    node = CountingNode()
+    node.detail = "plant_realtime_factor=1.0"
+    _, beats = heartbeats(node, clock, end_utime=SIM_EPOCH_UTIME + 600_000)
+    assert beats[1].detail == "plant_realtime_factor=1.0"
+
+
 def test_node_that_raises_is_closed_and_says_stopping():
     clock = ScriptedClock(SIM_EPOCH_UTIME)
     node = CountingNode()
