@@ -290,7 +290,7 @@ def _add_materials(assets: ET.Element) -> None:
         ACCENT: {"rgba": "0.10 0.85 0.95 1", "emission": "0.9", "specular": "0.2"},
     }
     for name, look in looks.items():
-        ET.SubElement(assets, "material", name=name, **look)
+        ET.SubElement(assets, "material", {"name": name, **look})
 
 
 def _add_part(

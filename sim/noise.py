@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-
 from downbeat.catalog.robot import NUM_JOINTS
+from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 

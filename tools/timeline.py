@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-
 from downbeat.lcm_types import music_match_t
 from downbeat.tools import palette
 from downbeat.tools.metrics import first_sample_utime
 from downbeat.tools.metrics_sections import fallen_spans
 from downbeat.tools.runlog import LOG_NAME, RunLog, read_run
 from downbeat.tools.truth import TRUTH_NAME, Section, Truth, read_truth
+from numpy.typing import NDArray
 
 TIMELINE_NAME = "timeline.png"
 WIDTH_PX = 1600

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-
 from downbeat.catalog.robot import load_g1
 from downbeat.lcm_types import g1_low_cmd_t
 from downbeat.runtime.clock import SIM_EPOCH_UTIME as T0

@@ -2,14 +2,13 @@ import math
 
 import numpy as np
 import pytest
-
 from downbeat.catalog.robot import load_g1
 from downbeat.lcm_types import g1_low_cmd_t, g1_low_state_t
 from downbeat.runtime.bus import MemqHub
 from downbeat.runtime.clock import SIM_EPOCH_UTIME as T0
 from downbeat.runtime.clock import SimClock
-from downbeat.sim.noise import NO_NOISE
 from downbeat.sim.node import SimNode
+from downbeat.sim.noise import NO_NOISE
 from downbeat.sim.plant import PlantConfig
 
 ROBOT = load_g1()
