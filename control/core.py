@@ -113,7 +113,7 @@ class ControlCore:
         frame, targets = self._act(inputs, state)
         command = self._command(inputs, targets)
         status = self._status(inputs, state, frame, command)
-        self.director.end_tick()
+        self.director.end_tick(inputs.utime)
         return TickOutput(command, status, self.director.book.take_changes())
 
     def _act(

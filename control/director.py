@@ -173,7 +173,7 @@ class Director:
     # ------------------------------------------------------------------ playing
 
     def play(self, state: RobotState, now: int) -> Frame | None:
-        """Run the active skill, or both during a blend, and advance their phases."""
+        """Run the active skill, or both during a blend."""
         playback, blend = self.playback, self.blend
         if playback is None:
             return None
@@ -181,18 +181,19 @@ class Director:
             self._say_running(self._coming, now)
         heading = heading_of(state)
         obs, targets = playback.act(state, heading)
-        playback.advance(now)
         if blend is None:
             return Frame(((playback.name, obs, targets),), targets)
         outgoing_obs, outgoing = blend.outgoing.act(state, heading)
-        blend.outgoing.advance(now)
         mixed = mix(outgoing, targets, blend.weight, blend.hop, blend.tick)
         parts = ((playback.name, obs, targets), (blend.outgoing.name, outgoing_obs, outgoing))
         return Frame(parts, mixed)
 
-    def end_tick(self) -> None:
-        """Advance the blend; called after the status of the tick was taken."""
+    def end_tick(self, now: int) -> None:
+        """Advance phases and blend; called after the status of the tick was taken."""
+        if self.playback is not None:
+            self.playback.advance(now)
         if self.blend is not None:
+            self.blend.outgoing.advance(now)
             self.blend.tick += 1
 
     def fill_status(self, status: control_status_t) -> None:

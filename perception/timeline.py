@@ -116,7 +116,7 @@ class Timeline:
         ]
 
     def scheduled(self, now: int) -> tuple[str, int] | None:
-        """Return (track, zero) that the set list says must play at `now`, None if it says nothing."""
+        """Return (track, zero) that the set list says must play at `now`, or None."""
         entry = self._entry_at(now)
         if entry is None or self._set is None or self._anchor is None:
             return None

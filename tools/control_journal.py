@@ -11,7 +11,7 @@ from downbeat.tools.show import Show
 
 
 class ControlJournal:
-    """The journal of a run; its records hold the show's time only, so equal runs are equal bytes."""
+    """The journal of a run; records hold the show's time only: equal runs are equal bytes."""
 
     def __init__(self, path: Path, show: Show) -> None:
         self._writer = JournalWriter(path, plain(show.config))

@@ -18,9 +18,9 @@ from downbeat.perception.source import Recording
 from downbeat.tools.errors import ToolError
 
 SAMPLE_RATE_HZ = 44_100
-PASSAGE_TRIES = 40
-GOOD_SPAN_S = 5.0
-"""A passage whose every span is at least this long is taken at once."""
+PASSAGE_TRIES = 100
+GOOD_SPAN_SHARE = 0.4
+"""A passage whose every span has this share of a section is taken at once."""
 FADE_S = 0.003
 """A cut is hard, but it does not click."""
 
@@ -188,6 +188,6 @@ def _seeded_entry(
             shortest_s -= section_s
         if shortest_s > best_s:
             best_s, best_from_s = shortest_s, from_s
-        if best_s >= GOOD_SPAN_S:
+        if best_s >= GOOD_SPAN_SHARE * section_s:
             break
     return SetEntry(name, best_from_s, section_s)

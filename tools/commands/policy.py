@@ -29,7 +29,7 @@ class Generate:
 
 @dataclass(frozen=True)
 class Certify:
-    """Dance each skill 30 s in closed loop under noise, delay, mass and friction; print the table."""
+    """Dance each skill 30 s in closed loop under noise and delay; print the table."""
 
     names: tyro.conf.Positional[list[str]] = field(default_factory=list)
     """Skill names; none: all bundled skills."""
