@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from downbeat.tools.metrics import compute_metrics, write_metrics
-from rich.box import ROUNDED, SIMPLE
+from rich.box import SIMPLE, SIMPLE_HEAD
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 GOOD, BAD, UNKNOWN = "green", "bold red", "dim"
+BOUNDARY_WORDS = {"start": "start", "announced": "known", "unannounced": "surprise"}
 
 
 def report(run_dir: Path) -> dict[str, Any]:
@@ -43,40 +44,43 @@ def result_table(metrics: dict[str, Any]) -> RenderableType:
 
 
 def _sections_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(box=ROUNDED, title="Sections", title_justify="left", header_style="bold")
-    for name in ("from", "to"):
-        table.add_column(name, justify="right")
+    """Return one line per section; it fits a terminal of 80 columns."""
+    table = Table(box=SIMPLE_HEAD, header_style="bold", pad_edge=False)
+    table.add_column("from", justify="right", no_wrap=True)
     for name in ("track", "asked", "boundary"):
-        table.add_column(name)
+        table.add_column(name, no_wrap=True)
     for name in ("onset", "danced", "beat p95"):
-        table.add_column(name, justify="right")
-    table.add_column("")
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for row in rows:
         table.add_row(
-            f"{row['start_s']:.1f} s",
-            f"{row['end_s']:.1f} s",
-            row["track"],
+            f"{row['start_s'] // 60:.0f}:{row['start_s'] % 60:04.1f}",
+            _short(row["track"]),
             Text(row["skill"], style="bold"),
-            row["boundary"],
+            BOUNDARY_WORDS[row["boundary"]],
             _onset(row),
             f"{100 * row['followed_fraction']:.0f} %",
-            _value(row.get("beat_phase_error_p95_ms"), "{:.0f} ms"),
+            _value(row["beat_phase_error_p95_ms"], "{:.0f} ms"),
             _mark(row),
         )
     return table
+
+
+def _short(name: str, length: int = 13) -> str:
+    return name if len(name) <= length else f"{name[: length - 1]}\u2026"
 
 
 def _onset(row: dict[str, Any]) -> Text:
     """An announced onset is an error in milliseconds, a surprised one a reaction in seconds."""
     if row["onset_error_ms"] is not None:
         return Text(f"{row['onset_error_ms']:+.0f} ms")
-    return _value(row["reaction_s"], "after {:.2f} s")
+    return _value(row["reaction_s"], "{:+.2f} s")
 
 
 def _mark(row: dict[str, Any]) -> Text:
     if not row["upright"]:
         return Text("fell", style=BAD)
-    return Text("followed", style=GOOD) if row["followed"] else Text("missed", style=BAD)
+    return Text("\u2714", style=GOOD) if row["followed"] else Text("missed", style=BAD)
 
 
 def _value(value: float | None, form: str) -> Text:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import lcm
 import numpy as np
+from downbeat.lcm_types import g1_low_state_t
 from downbeat.lcm_types.channels import CHANNELS
 from downbeat.runtime.codec import CodecError, codec_for
 from downbeat.tools.errors import ToolError
@@ -18,6 +20,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 LOG_NAME = "run.lcmlog"
+STATE_CHANNEL = "G1_LOW_STATE"
+STATE_HEAD = struct.Struct(">8sqqqqb")
+"""Fingerprint, header (utime, seq, epoch), tick, source: states are many, and only these count."""
 EVENT_CHANNELS = (
     "AUDIO_SOURCE",
     "AUDIO_CLASS",
@@ -109,20 +114,27 @@ def read_run(path: Path) -> RunLog:
     return RunLog(
         control=_control(messages["CONTROL_STATUS"]),
         truth=_truth(messages["SIM_TRUTH"]),
-        states=_states(messages["G1_LOW_STATE"]),
+        states=_states(messages[STATE_CHANNEL]),
         events={name: messages[name] for name in EVENT_CHANNELS},
         bad_messages=bad,
     )
 
 
 def _decode(path: Path) -> tuple[dict[str, list[Any]], int]:
-    wanted = {"CONTROL_STATUS", "SIM_TRUTH", "G1_LOW_STATE", *EVENT_CHANNELS}
+    wanted = {"CONTROL_STATUS", "SIM_TRUTH", *EVENT_CHANNELS}
     codecs = {name: codec_for(CHANNELS[name].type) for name in wanted}
     messages: dict[str, list[Any]] = defaultdict(list)
+    fingerprint = g1_low_state_t._get_packed_fingerprint()
     bad = 0
     log = lcm.EventLog(str(path), "r")
     try:
         for event in log:
+            if event.channel == STATE_CHANNEL:
+                if event.data[:8] == fingerprint and len(event.data) > STATE_HEAD.size:
+                    messages[STATE_CHANNEL].append(STATE_HEAD.unpack_from(event.data))
+                else:
+                    bad += 1
+                continue
             codec = codecs.get(event.channel)
             if codec is None:
                 continue
@@ -171,9 +183,6 @@ def _truth(states: list[Any]) -> TruthColumns:
     )
 
 
-def _states(states: list[Any]) -> StateColumns:
-    return StateColumns(
-        utime=np.array([m.header.utime for m in states], dtype=np.int64),
-        tick=np.array([m.tick for m in states], dtype=np.int64),
-        source=np.array([m.source for m in states], dtype=np.int64),
-    )
+def _states(heads: list[Any]) -> StateColumns:
+    columns = np.array([head[1:] for head in heads], dtype=np.int64).reshape(-1, 5)
+    return StateColumns(utime=columns[:, 0], tick=columns[:, 3], source=columns[:, 4])

@@ -27,7 +27,7 @@ def test_the_table_shows_signed_onsets_and_reactions(good):
     text = printed(good)
     assert "+40 ms" in text
     assert "-20 ms" in text
-    assert "after 2.50 s" in text
+    assert "+2.50 s" in text
 
 
 def test_a_missed_section_is_never_hidden(tmp_path):
