@@ -7,6 +7,7 @@ the whole sum, and implicitfast integrates the damping implicitly, as it did for
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from dataclasses import dataclass, field
@@ -24,13 +25,20 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
+log = logging.getLogger("downbeat.sim")
+
 EXPIRED_DAMPING = 2.0
 """[N m s/rad] of every joint once commands have expired: the robot sinks slowly."""
 MAX_AHEAD_US = 1_000_000
 """A command stamped further ahead than this is on another time base."""
 
-_GAIN_FIELDS = ("joint_stiffness", "joint_damping")
-_JOINT_FIELDS = ("joint_pos_target", "joint_vel_target", "joint_torque_ff", *_GAIN_FIELDS)
+_JOINT_FIELDS = (
+    "joint_pos_target",
+    "joint_vel_target",
+    "joint_torque_ff",
+    "joint_stiffness",
+    "joint_damping",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +102,8 @@ class Plant:
         """
         self.config = config or PlantConfig()
         _check(self.config)
+        # MuJoCo would write MUJOCO_LOG.TXT into whatever folder we were started in.
+        mujoco.set_mju_user_warning(log.warning)
         options = ModelOptions(
             timestep_s=self.config.timestep_s,
             friction=self.config.friction,

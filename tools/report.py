@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from downbeat.tools.metrics import compute_metrics, write_metrics
-from rich.box import SIMPLE, SIMPLE_HEAD
+from rich.box import SIMPLE
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -45,7 +45,7 @@ def result_table(metrics: dict[str, Any]) -> RenderableType:
 
 def _sections_table(rows: list[dict[str, Any]]) -> Table:
     """Return one line per section; it fits a terminal of 80 columns."""
-    table = Table(box=SIMPLE_HEAD, header_style="bold", pad_edge=False)
+    table = Table(box=None, header_style="bold dim", pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("from", justify="right", no_wrap=True)
     for name in ("track", "asked", "boundary"):
         table.add_column(name, no_wrap=True)

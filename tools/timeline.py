@@ -19,6 +19,10 @@ from numpy.typing import NDArray
 TIMELINE_NAME = "timeline.png"
 WIDTH_PX = 1600
 DPI = 100
+PANEL_PX = 1480
+CHARACTER_PX = 11.8
+"""Of the labels at their full size."""
+WAVE_HZ = 40
 PANEL_S = 130.0
 """Longer shows get several panels below each other."""
 HEADER_IN, PANEL_IN, FOOTER_IN = 0.95, 4.15, 0.85
@@ -140,8 +144,8 @@ def _heard(log: RunLog, truth: Truth, zero_utime: int) -> list[Span]:
     return spans(np.array(times), np.array(states, dtype=np.str_))
 
 
-def _envelope(audio: Path, rate_hz: int = 40) -> NDArray[np.float64]:
-    """Return the sound's peak level per 1/40 s, 0..1."""
+def _envelope(audio: Path, rate_hz: int = WAVE_HZ) -> NDArray[np.float64]:
+    """Return the sound's peak level, 0..1, (n,)."""
     import soundfile
 
     peaks = []
@@ -225,7 +229,7 @@ def _draw_panel(axes: Any, picture: Picture, start_s: float, end_s: float) -> No
             va="center",
         )
     _draw_tracks(axes, picture)
-    _draw_skills(axes, picture, end_s - start_s)
+    _draw_skills(axes, picture)
     _draw_heard(axes, picture)
     _draw_boundaries(axes, picture, start_s, end_s)
     _draw_falls(axes, picture)
@@ -251,12 +255,13 @@ def _bar(axes: Any, row: tuple[float, float], span: tuple[float, float], **style
 
 def _draw_tracks(axes: Any, picture: Picture) -> None:
     bottom, height = TRACK_ROW
-    wave = picture.wave
     for segment in picture.truth.segments:
         _bar(axes, TRACK_ROW, (segment.start_s + 0.06, segment.end_s - 0.06), color=palette.PANEL)
-        _label(axes, segment.start_s, segment.end_s, bottom + height + 0.17, segment.track, 13)
+        span = Span(segment.start_s, segment.end_s, segment.track)
+        _label(axes, span, bottom + height + 0.17, shorten=True)
+    wave = picture.wave
     if wave is not None:
-        times_s = np.arange(wave.size) / 40.0
+        times_s = np.arange(wave.size) / WAVE_HZ
         middle = bottom + height / 2
         axes.fill_between(
             times_s,
@@ -268,23 +273,15 @@ def _draw_tracks(axes: Any, picture: Picture) -> None:
         )
 
 
-def _draw_skills(axes: Any, picture: Picture, width_s: float) -> None:
+def _draw_skills(axes: Any, picture: Picture) -> None:
     asked = [Span(s.start_s, s.end_s, s.skill) for s in picture.truth.sections]
+    gap_s = 0.7 / _px_per_s(axes)
     for row, row_spans in ((ASKED_ROW, asked), (DANCED_ROW, picture.danced)):
         for span in row_spans:
             colour = picture.colours[span.value]
-            edges = (span.start_s + 0.0004 * width_s, span.end_s - 0.0004 * width_s)
-            _bar(axes, row, edges, color=colour)
-            if (span.end_s - span.start_s) / width_s > 0.011 * max(len(span.value), 3) * 0.55:
-                _label(
-                    axes,
-                    span.start_s,
-                    span.end_s,
-                    row[0] + row[1] / 2,
-                    span.value,
-                    13.5,
-                    colour="#10121a" if span.value not in palette.STANDING else palette.INK,
-                )
+            _bar(axes, row, (span.start_s + gap_s, span.end_s - gap_s), color=colour)
+            ink = palette.INK if span.value in palette.STANDING else palette.BACKGROUND
+            _label(axes, span, row[0] + row[1] / 2, colour=ink)
     bottom, height = DANCED_ROW
     for span in picture.blends:
         axes.axvspan(
@@ -299,15 +296,24 @@ def _draw_skills(axes: Any, picture: Picture, width_s: float) -> None:
         )
 
 
+def _px_per_s(axes: Any) -> float:
+    start_s, end_s = axes.get_xlim()
+    return float(PANEL_PX / (end_s - start_s))
+
+
 def _label(
-    axes: Any,
-    start_s: float,
-    end_s: float,
-    y: float,
-    text: str,
-    size: float,
-    colour: str = palette.INK,
+    axes: Any, span: Span, y: float, colour: str = palette.INK, shorten: bool = False
 ) -> None:
+    """Write a span's value in the middle of what is seen of it, smaller or not at all if narrow."""
+    first_s, last_s = axes.get_xlim()
+    start_s, end_s = max(span.start_s, first_s), min(span.end_s, last_s)
+    room_px = (end_s - start_s) * _px_per_s(axes) - 10.0
+    text = span.value
+    if shorten and len(text) * CHARACTER_PX > room_px:
+        text = text[: max(0, int(room_px / CHARACTER_PX) - 1)] + "\u2026"
+    size = next((s for s in (13.5, 11.0, 9.0) if len(text) * CHARACTER_PX * s / 13.5 < room_px), 0)
+    if not size or len(text) < 2:
+        return
     axes.text(
         0.5 * (start_s + end_s),
         y,
@@ -380,7 +386,7 @@ def _draw_onset(axes: Any, section: Section, row: dict[str, Any], colour: str) -
     )
     if not row["followed"]:
         axes.annotate(
-            "missed",
+            "\u2717",
             (section.end_s, y),
             xytext=(-6, 0),
             textcoords="offset points",
@@ -424,7 +430,7 @@ def _draw_footer(figure: Any, height_in: float) -> None:
         Patch(facecolor="#9aa0b3", hatch="////", edgecolor="#10121a", label="cross-fade"),
         Patch(color=palette.GOOD, label="locked on the right track"),
         Patch(color=palette.WARNING, label="candidate"),
-        Patch(color=palette.BAD, label="wrong track, fall"),
+        Patch(color=palette.BAD, label="wrong track, missed (\u2717), fall"),
     ]
     figure.legend(
         handles=handles,
