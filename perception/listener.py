@@ -17,6 +17,8 @@ from downbeat.runtime.bus import Bus
 HOP_US = 250_000
 RING_S = 6.0
 CLASS_WINDOW_S = 1.0
+PAUSE_DBFS = -50.0
+"""Below this a second of sound is a pause: too little to judge a lock by."""
 
 
 class Router(Protocol):
@@ -104,7 +106,7 @@ class ListenerNode:
         rms_dbfs = level_dbfs(recent)
         label = self._router.label(recent, rms_dbfs)
         before = self._tracker.state
-        after = self._tracker.update(self._ring, now, label == audio_class_t.MUSIC)
+        after = self._tracker.update(self._ring, now, rms_dbfs > PAUSE_DBFS)
         self._publish_class(utime, now, label, rms_dbfs, len(recent))
         if label == audio_class_t.MUSIC or after.lock != before.lock:
             self._publish_match(utime, now, after)

@@ -24,6 +24,7 @@ DROP_AFTER_HOPS = 3
 SEARCH_LENGTHS_S = (1.25, 2.0, 3.0, 5.0)
 LOOK_BACK_S = 0.2
 """The search window begins this much before the last good check: half of a check may be new."""
+COAST_US = 3_000_000
 SAME_PLACE_US = 80_000
 CORRECTION_GAIN = 0.2
 CONFIRM_S = 8.0
@@ -81,8 +82,15 @@ class Tracker:
         if self.state.lock == Lock.LOST:
             self.state = self._search(ring, now) if audible else TrackState()
         else:
-            self.state = self._check(ring, now)
+            self.state = self._check(ring, now) if audible else self._coast(now)
         return self.state
+
+    def _coast(self, now: int) -> TrackState:
+        """During a pause nothing speaks for or against the lock; it is kept for a while."""
+        state = self.state
+        if now - self._last_good_utime > COAST_US:
+            return TrackState()
+        return TrackState(state.lock, state.track, state.track_zero_utime, state.similarity)
 
     # ------------------------------------------------------------------ locked
 

@@ -40,9 +40,11 @@ def run_eval_mashup(args: MashupArgs) -> int:
     skills: Sequence[str] = dance_names() if args.rules is None else sorted(load_skills())
     library = build_library(args.tracks, run_dir / "catalog", skills, args.seed, args.rules, say)
     tracks = {n: with_duration(t, library.recordings[n]) for n, t in library.tracks.items()}
-    set_list, left_out = seeded_set_list(tracks, args.section_seconds, args.sections, args.seed)
+    set_list, left_out = seeded_set_list(
+        tracks, library.recordings, args.section_seconds, args.sections, args.seed
+    )
     if left_out:
-        say(f"left out (shorter than {args.section_seconds} s): {', '.join(left_out)}")
+        say(f"left out (no {args.section_seconds:.0f} s without a pause): {', '.join(left_out)}")
     mashup = build_mashup(set_list, tracks, library.recordings, args.announced, left_out)
     mashup.truth["seed"] = args.seed
     show = write_show(run_dir, mashup, library, args.seed)

@@ -21,6 +21,7 @@ SAMPLE_RATE_HZ = 44_100
 PASSAGE_TRIES = 100
 GOOD_SPAN_SHARE = 0.4
 """A passage whose every span has this share of a section is taken at once."""
+PAUSE_S, PAUSE_DBFS = 2.0, -45.0
 FADE_S = 0.003
 """A cut is hard, but it does not click."""
 
@@ -33,7 +34,7 @@ class Mashup:
         samples: (n,) mono.
         set_list: Its passages.
         truth: Content of truth.json.
-        left_out: Tracks shorter than a section.
+        left_out: Tracks without a long enough passage.
     """
 
     samples: F32
@@ -130,20 +131,45 @@ def _grid(track: Track) -> dict[str, Any]:
     return {"tempo_bpm": grid.tempo_bpm, "first_beat_s": grid.first_beat_s}
 
 
+def longest_passage_s(recording: Recording) -> float:
+    """Return the length of the longest passage without a pause of two seconds [s]."""
+    block = round(PAUSE_S * recording.sample_rate_hz)
+    count = len(recording.samples) // block
+    blocks = recording.samples[: count * block].reshape(count, block)
+    loud = np.sqrt((blocks.astype(np.float64) ** 2).mean(1)) > 10.0 ** (PAUSE_DBFS / 20.0)
+    longest = run = 0
+    for is_loud in loud:
+        run = run + 1 if is_loud else 0
+        longest = max(longest, run)
+    return longest * PAUSE_S
+
+
+def is_sounding(recording: Recording, from_s: float, seconds: float) -> bool:
+    """Whether a passage has no pause of two seconds."""
+    rate = recording.sample_rate_hz
+    part = recording.samples[round(from_s * rate) : round((from_s + seconds) * rate)]
+    cut = Recording(recording.name, part, rate)
+    return longest_passage_s(cut) >= seconds - 2.0 * PAUSE_S
+
+
 def seeded_set_list(
-    tracks: Mapping[str, Track], section_s: float, count: int, seed: int
+    tracks: Mapping[str, Track],
+    recordings: Mapping[str, Recording],
+    section_s: float,
+    count: int,
+    seed: int,
 ) -> tuple[SetList, tuple[str, ...]]:
     """Choose tracks and passages by seed; neighbours differ in track and in skill at the cut.
 
     Returns:
-        The set list, and the names of tracks too short for a section.
+        The set list, and the names of tracks that have no passage long enough without a pause.
 
     Raises:
         ToolError: Fewer than two tracks are long enough.
     """
     rng = np.random.default_rng(seed)
-    margin_s = 0.25
-    names = [n for n, t in tracks.items() if t.duration_s >= section_s + margin_s]
+    margin_s = 2.0 * PAUSE_S
+    names = [n for n, r in recordings.items() if longest_passage_s(r) >= section_s + margin_s]
     left_out = tuple(n for n in tracks if n not in names)
     if len(names) < 2:
         raise ToolError(
@@ -156,16 +182,21 @@ def seeded_set_list(
         if not bag:
             bag = [str(n) for n in rng.permutation(names)]
         name = bag.pop(0)
-        if entries and entries[-1].track == name:
+        if entries and not _differs(entries[-1], name, tracks) and bag:
             bag.append(name)
             continue
-        entries.append(_seeded_entry(tracks, name, section_s, entries, rng))
+        entries.append(_seeded_entry(tracks, recordings[name], section_s, entries, rng))
     return SetList(tuple(entries)), left_out
+
+
+def _differs(last: SetEntry, name: str, tracks: Mapping[str, Track]) -> bool:
+    """Whether a track may follow: another one, with another skill."""
+    return last.track != name and tracks[last.track].default_skill != tracks[name].default_skill
 
 
 def _seeded_entry(
     tracks: Mapping[str, Track],
-    name: str,
+    recording: Recording,
     section_s: float,
     before: Sequence[SetEntry],
     rng: np.random.Generator,
@@ -174,7 +205,8 @@ def _seeded_entry(
 
     A section of two seconds is no dance; and the skill at a cut should differ from the one before.
     """
-    room_s = tracks[name].duration_s - section_s - 0.2
+    name = recording.name
+    room_s = recording.duration_s - section_s - 0.2
     running = ""
     if before:
         last = before[-1]
@@ -182,6 +214,8 @@ def _seeded_entry(
     best_s, best_from_s = -1.0, 0.0
     for _ in range(PASSAGE_TRIES):
         from_s = round(float(rng.uniform(0.0, room_s)), 3)
+        if not is_sounding(recording, from_s, section_s):
+            continue
         spans = tracks[name].sections(from_s, from_s + section_s)
         shortest_s = min(end_s - start_s for start_s, end_s, _ in spans)
         if tracks[name].skill_at(from_s) == running:

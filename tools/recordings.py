@@ -10,15 +10,13 @@ from pathlib import Path
 
 import numpy as np
 from downbeat.catalog.beatgrid import BeatGrid
-from downbeat.catalog.tracks import Rule, Track, load_tracks
+from downbeat.catalog.tracks import Track, load_tracks
 from downbeat.perception.beats import estimate_grid
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import FORMAT, Index
 from downbeat.perception.source import Recording, audio_files, load_recording
 from downbeat.tools.rundir import CACHE_DIR
 
-SECTION_BARS = 8
-MIN_SECTION_S, MAX_SECTION_S = 8.0, 16.0
 INDEX_NAME = "index.npz"
 
 Say = Callable[[str], None]
@@ -115,41 +113,23 @@ def assign_skills(
     skills: Sequence[str],
     seed: int,
 ) -> dict[str, Track]:
-    """Give every track sections of some bars, each with the next skill of a shuffled list."""
+    """Give every track the next skill of a shuffled list, one skill a track.
+
+    Timed rules inside a track are a person's to write: they need an ear for its sections, and many
+    recordings repeat passages bit for bit, which no listener can tell apart.
+    """
     rng = np.random.default_rng(seed)
     order = [str(s) for s in rng.permutation(list(skills))]
-    tracks: dict[str, Track] = {}
-    position = 0
-    for name, recording in recordings.items():
-        rules = []
-        for start_s, end_s in _section_edges(grids[name], recording.duration_s):
-            rules.append(Rule(start_s, end_s, order[position % len(order)]))
-            position += 1
-        default = order[position % len(order)]
-        tracks[name] = Track(
-            name, default, grids[name], tuple(rules), name, duration_s=recording.duration_s
+    return {
+        name: Track(
+            name,
+            order[position % len(order)],
+            grids[name],
+            title=name,
+            duration_s=recording.duration_s,
         )
-        position += 1
-    return tracks
-
-
-def _section_edges(grid: BeatGrid, duration_s: float) -> list[tuple[float, float]]:
-    """Cut a track at bars, 8 to 16 s apart."""
-    bar = grid.beats_per_bar
-    bars = SECTION_BARS
-    bar_s = bar * 60.0 / grid.tempo_bpm
-    while bars * bar_s > MAX_SECTION_S and bars > 1:
-        bars //= 2
-    while bars * bar_s < MIN_SECTION_S:
-        bars *= 2
-    edges = [0.0]
-    beat = bars * bar
-    while (edge := grid.time_of(beat)) < duration_s - MIN_SECTION_S:
-        if edge - edges[-1] >= 0.5 * MIN_SECTION_S:
-            edges.append(round(edge, 4))
-        beat += bars * bar
-    edges.append(round(duration_s, 4))
-    return list(zip(edges[:-1], edges[1:]))
+        for position, (name, recording) in enumerate(recordings.items())
+    }
 
 
 def write_track(path: Path, track: Track) -> None:
