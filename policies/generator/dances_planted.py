@@ -15,21 +15,23 @@ from downbeat.policies.generator.choreography import (
 SWAY = Choreography(
     name="sway",
     title="Sway",
-    beats=4,
+    beats=8,
     phrases=("sway", "sway gently"),
+    arms=ArmKeys(
+        keys=(
+            (0.0, "open", "across"),
+            (2.0, "across", "open"),
+            (4.0, "open", "across"),
+            (6.0, "across", "open"),
+        ),
+        move_beats=1.7,
+    ),
     moves=(
-        Wave("pelvis_y", 0.06, 2.0),
-        Wave("pelvis_roll", 0.05, 2.0),
-        Wave("waist_roll", -0.10, 2.0),
-        Wave("pelvis_z", -0.015, 1.0, shape="bounce"),
-        Offset("left_shoulder_pitch", -0.5),
-        Offset("right_shoulder_pitch", -0.5),
-        Wave("left_shoulder_pitch", -0.5, 2.0),
-        Wave("right_shoulder_pitch", 0.5, 2.0),
-        Offset("left_elbow", -0.4),
-        Offset("right_elbow", -0.4),
-        Offset("left_shoulder_roll", 0.2),
-        Offset("right_shoulder_roll", -0.2),
+        Wave("pelvis_y", 0.065, 4.0, pi / 2),
+        Wave("pelvis_roll", 0.05, 4.0, pi / 2),
+        Wave("waist_roll", -0.13, 4.0, pi / 2),
+        Wave("waist_yaw", 0.28, 4.0, pi / 2),
+        Wave("pelvis_z", -0.025, 1.0, shape="bounce"),
     ),
 )
 
@@ -40,8 +42,9 @@ ARMWAVE = Choreography(
     phrases=("arm wave", "do the wave"),
     arms=ArmKeys(keys=((0.0, (0.0, 1.35, -1.3, 1.1), (0.0, 1.35, -1.3, 1.1)),), move_beats=1.0),
     moves=(
-        Wave("pelvis_z", -0.02, 1.0, shape="bounce"),
-        Wave("pelvis_y", 0.03, 2.0),
+        Wave("pelvis_z", -0.03, 1.0, shape="bounce"),
+        Wave("pelvis_y", 0.035, 2.0),
+        Wave("waist_yaw", 0.15, 4.0),
         Wave("left_shoulder_roll", 0.35, 2.0),
         Wave("right_shoulder_roll", 0.35, 2.0, -2.5),
         Wave("left_elbow", 0.5, 2.0, -0.8),
@@ -60,8 +63,8 @@ TWIST = Choreography(
     arms=ArmKeys(keys=((0.0, (-0.5, 0.45, 0.0, -0.1), (-0.5, 0.45, 0.0, -0.1)),), move_beats=1.0),
     moves=(
         Wave("waist_yaw", 0.6, 2.0),
-        Wave("pelvis_yaw", -0.18, 2.0),
-        Wave("pelvis_z", -0.03, 1.0, shape="bounce"),
+        Wave("pelvis_yaw", -0.2, 2.0),
+        Wave("pelvis_z", -0.035, 1.0, shape="bounce"),
         Wave("left_shoulder_pitch", 0.35, 2.0),
         Wave("right_shoulder_pitch", -0.35, 2.0),
     ),
@@ -88,38 +91,49 @@ PUMP = Choreography(
 HIPCIRCLE = Choreography(
     name="hipcircle",
     title="Hip circles",
-    beats=4,
+    beats=8,
     phrases=("hip circles", "circle your hips", "hula"),
-    arms=ArmKeys(keys=((0.0, (-0.2, 0.75, 0.5, -0.3), (-0.2, 0.75, 0.5, -0.3)),), move_beats=1.0),
+    arms=ArmKeys(
+        keys=(
+            (0.0, "hip", "hip"),
+            (2.0, "low", "low"),
+            (4.0, "goal", "goal"),
+            (6.0, "low", "low"),
+        ),
+        move_beats=2.0,
+    ),
     moves=(
-        Wave("pelvis_y", 0.05, 2.0),
+        Wave("pelvis_y", 0.055, 2.0),
         Wave("pelvis_x", 0.035, 2.0, pi / 2),
-        Wave("pelvis_roll", 0.08, 2.0),
+        Wave("pelvis_roll", 0.09, 2.0),
         Wave("pelvis_pitch", -0.10, 2.0, pi / 2),
-        Wave("waist_roll", -0.14, 2.0),
+        Wave("waist_roll", -0.16, 2.0),
         Wave("waist_pitch", 0.16, 2.0, pi / 2),
-        Wave("left_shoulder_yaw", 0.2, 2.0),
-        Wave("right_shoulder_yaw", 0.2, 2.0),
+        Offset("pelvis_z", -0.02),
     ),
 )
+
+_DISCO_SIDES = ((0.0, 1.0), (2.0, -0.6), (4.0, -1.0), (6.0, 0.6))
 
 DISCO = Choreography(
     name="disco",
     title="Disco point",
     beats=8,
     phrases=("disco", "disco point", "saturday night fever"),
-    arms=ArmKeys(keys=((0.0, (-1.2, 0.525, 0.0, 0.7), (-1.2, 0.525, 0.0, 0.7)),), move_beats=1.0),
+    arms=ArmKeys(
+        keys=(
+            (0.0, "v", "hip"),
+            (2.0, "chop_down", "hip"),
+            (4.0, "hip", "v"),
+            (6.0, "hip", "chop_down"),
+        ),
+        move_beats=1.2,
+    ),
     moves=(
-        Wave("pelvis_y", -0.05, 4.0, shape="square"),
-        Wave("waist_yaw", 0.25, 4.0, shape="square"),
-        Wave("waist_roll", 0.08, 4.0, shape="square"),
-        Wave("pelvis_z", -0.015, 1.0, shape="bounce"),
-        Wave("left_shoulder_pitch", -1.3, 4.0, shape="square"),
-        Wave("left_shoulder_roll", 0.225, 4.0, shape="square"),
-        Wave("left_elbow", 0.4, 4.0, shape="square"),
-        Wave("right_shoulder_pitch", 1.3, 4.0, shape="square"),
-        Wave("right_shoulder_roll", 0.225, 4.0, shape="square"),
-        Wave("right_elbow", -0.4, 4.0, shape="square"),
+        Keys("waist_yaw", _DISCO_SIDES, 1.2, 0.3),
+        Keys("waist_roll", _DISCO_SIDES, 1.2, -0.12),
+        Keys("pelvis_y", _DISCO_SIDES, 1.4, -0.05),
+        Wave("pelvis_z", -0.03, 1.0, shape="bounce"),
     ),
 )
 
@@ -136,7 +150,8 @@ ROBOT = Choreography(
         Wave("left_shoulder_yaw", 0.5, 4.0, 0.0, "square", 2.0),
         Wave("right_shoulder_yaw", 0.5, 4.0, 0.0, "square", 2.0),
         Wave("waist_pitch", 0.06, 4.0, pi / 2, "square", 2.0),
-        Wave("pelvis_z", -0.01, 1.0, shape="bounce"),
+        Wave("waist_roll", 0.08, 8.0, 0.0, "square", 2.0),
+        Wave("pelvis_z", -0.015, 1.0, shape="bounce"),
     ),
 )
 
@@ -230,7 +245,7 @@ TUTTING = Choreography(
         Keys("waist_roll", _TUTTING_SIDES, 0.95, 0.12),
         Keys("pelvis_y", _TUTTING_SIDES, 0.95, 0.045),
         Keys("pelvis_z", ((0.0, 0.0), (4.0, 0.0), (6.0, -0.08)), 0.95),
-        Wave("pelvis_z", -0.012, 1.0, shape="bounce"),
+        Wave("pelvis_z", -0.025, 1.0, shape="bounce"),
     ),
 )
 
@@ -274,6 +289,7 @@ SALSA = Choreography(
         Wave("waist_roll", -0.16, 2.0, 0.3),
         Wave("waist_yaw", -0.32, 2.0, 1.2),
         Offset("pelvis_z", -0.02),
+        Wave("pelvis_z", -0.015, 1.0, shape="bounce"),
     ),
 )
 

@@ -5,6 +5,8 @@ They start and end in guard or low poses: a dance must not be entered with the a
 
 from __future__ import annotations
 
+from math import pi
+
 from downbeat.policies.generator.choreography import (
     HOLD,
     ArmKeys,
@@ -24,11 +26,11 @@ DISCOSTEP = Choreography(
     height=STEPPING_HEIGHT_M,
     phrases=("disco step", "step to the disco"),
     steps=(
-        Step("right", y=-0.09),
+        Step("right", y=-0.08),
         Step("left"),
         Step("right"),
         HOLD,
-        Step("left", y=0.09),
+        Step("left", y=0.08),
         Step("right"),
         Step("left"),
         HOLD,
@@ -52,6 +54,8 @@ DISCOSTEP = Choreography(
             ((0, -0.2), (1, -0.2), (2, 0.12), (3, 0), (4, 0.2), (5, 0.2), (6, -0.12), (7, 0)),
             1.0,
         ),
+        Wave("waist_roll", 0.06, 8.0),
+        Wave("pelvis_z", -0.015, 1.0, pi, "bounce"),
     ),
 )
 
@@ -64,9 +68,9 @@ ZOMBIE = Choreography(
     height=STEPPING_HEIGHT_M,
     phrases=("zombie", "walk like a zombie"),
     steps=(
-        Step("right", y=-0.10),
-        Step("left", y=-0.10),
-        Step("right", y=-0.10),
+        Step("right", y=-0.09),
+        Step("left", y=-0.09),
+        Step("right", y=-0.09),
         HOLD,
         Step("left"),
         Step("right"),
@@ -126,6 +130,10 @@ TURNSTEP = Choreography(
         ),
         move_beats=0.95,
     ),
+    moves=(
+        Wave("pelvis_z", -0.015, 1.0, pi, "bounce"),
+        Wave("waist_roll", 0.05, 4.0),
+    ),
 )
 
 SALSASTEP = Choreography(
@@ -157,8 +165,9 @@ SALSASTEP = Choreography(
         move_beats=1.0,
     ),
     moves=(
-        Wave("waist_yaw", 0.22, 2.0),
-        Wave("waist_roll", 0.05, 2.0),
+        Wave("waist_yaw", 0.24, 2.0),
+        Wave("waist_roll", 0.07, 2.0),
+        Wave("pelvis_z", -0.012, 1.0, pi, "bounce"),
     ),
 )
 
