@@ -20,6 +20,8 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 LOG_NAME = "run.lcmlog"
+AUDIO_NAME = "mashup.wav"
+"""The show's sound, if the run folder holds it."""
 STATE_CHANNEL = "G1_LOW_STATE"
 STATE_HEAD = struct.Struct(">8sqqqqb")
 """Fingerprint, header (utime, seq, epoch), tick, source: states are many, and only these count."""

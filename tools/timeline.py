@@ -12,7 +12,7 @@ from downbeat.lcm_types import music_match_t
 from downbeat.tools import palette
 from downbeat.tools.metrics import first_sample_utime
 from downbeat.tools.metrics_sections import fallen_spans
-from downbeat.tools.runlog import LOG_NAME, RunLog, read_run
+from downbeat.tools.runlog import AUDIO_NAME, LOG_NAME, RunLog, read_run
 from downbeat.tools.truth import TRUTH_NAME, Section, Truth, read_truth
 from numpy.typing import NDArray
 
@@ -62,7 +62,7 @@ def draw_timeline(run_dir: Path, metrics: dict[str, Any], audio: Path | None = N
     Args:
         run_dir: Holds run.lcmlog and truth.json.
         metrics: As computed for this run.
-        audio: The show's sound, for its waveform; None: no waveform.
+        audio: The show's sound, for its waveform; None: mashup.wav of the run folder, if any.
 
     Returns:
         The picture's path.
@@ -74,7 +74,9 @@ def draw_timeline(run_dir: Path, metrics: dict[str, Any], audio: Path | None = N
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    picture = gather(read_run(run_dir / LOG_NAME), read_truth(run_dir / TRUTH_NAME), metrics, audio)
+    sound = audio or run_dir / AUDIO_NAME
+    wave = sound if sound.is_file() else None
+    picture = gather(read_run(run_dir / LOG_NAME), read_truth(run_dir / TRUTH_NAME), metrics, wave)
     panels = max(1, math.ceil((picture.end_s - picture.start_s) / PANEL_S - 0.05))
     height_in = HEADER_IN + panels * PANEL_IN + FOOTER_IN
     path = run_dir / TIMELINE_NAME
