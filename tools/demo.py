@@ -11,13 +11,13 @@ from downbeat.catalog.tracks import BUNDLED_TRACKS, Track, load_tracks
 from downbeat.perception.source import Recording, load_recording
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.commands.show import Demo
-from downbeat.tools.composer import render
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import play, say, write_show
 from downbeat.tools.finish import finish_run
 from downbeat.tools.mashup import build_mashup
 from downbeat.tools.recordings import INDEX_NAME, Library, build_index, write_track
 from downbeat.tools.rundir import CACHE_DIR, new_run_dir
+from downbeat.tools.tunes import render
 
 ORDER = ("neon_parade", "salsa_del_puerto", "midnight_bones", "tide_runner")
 

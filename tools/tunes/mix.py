@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from downbeat.perception.features import F32
-from downbeat.tools.composer.synth import RATE, drum, tone
+from downbeat.tools.tunes.synth import RATE, drum, tone
 from scipy.signal import fftconvolve
 
 TAIL_S = 1.5

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from downbeat.perception.features import F32
-from downbeat.tools.composer.mix import Song, chord
+from downbeat.tools.tunes.mix import Song, chord
 
 Bars = Sequence[tuple[int, str, int]]
 
