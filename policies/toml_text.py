@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 INLINE_WIDTH = 100
@@ -58,3 +60,10 @@ def to_toml(table: Mapping[str, Any]) -> str:
     Values are str, int, float, bool, lists of those, nested tables and lists of tables.
     """
     return "\n".join(_lines(table, "")) + "\n"
+
+
+def write_toml(path: Path, table: Mapping[str, Any]) -> None:
+    """Write `table` to a file in one go: a reader sees the old or the new text, never half."""
+    draft = path.with_suffix(".draft")
+    draft.write_text(to_toml(table), encoding="utf-8")
+    os.replace(draft, path)

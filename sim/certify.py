@@ -31,7 +31,7 @@ from downbeat.policies.manifest import (
     load_manifest,
     load_skills,
 )
-from downbeat.policies.toml_text import to_toml
+from downbeat.policies.toml_text import write_toml
 from downbeat.runtime.errors import one_of
 from downbeat.sim.errors import SimError
 from downbeat.sim.stage import (
@@ -216,7 +216,7 @@ def write_verdict(manifest: SkillManifest, verdict: Verdict) -> SkillManifest:
         {key: value for key, value in case.items() if value != ""} for case in certificate["case"]
     ]
     table["certificate"] = certificate
-    path.write_text(to_toml(table), encoding="utf-8")
+    write_toml(path, table)
     return load_manifest(path)
 
 

@@ -29,7 +29,7 @@ from downbeat.control.transitions import (
 )
 from downbeat.policies.generator.build import CHOREOGRAPHIES
 from downbeat.policies.manifest import BUNDLED_SKILLS, SkillManifest, load_manifest, load_skills
-from downbeat.policies.toml_text import to_toml
+from downbeat.policies.toml_text import write_toml
 from downbeat.sim.stage import (
     HEAVY,
     LIGHT,
@@ -298,7 +298,7 @@ def write_exits(folder: Path, exits: dict[str, list[float]]) -> None:
         path = folder / name / "manifest.toml"
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         table["exit_phases_s"] = phases
-        path.write_text(to_toml(table), encoding="utf-8")
+        write_toml(path, table)
         load_manifest(path)
 
 

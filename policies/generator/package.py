@@ -15,7 +15,7 @@ from downbeat.policies.manifest import (
     file_sha256,
     load_manifest,
 )
-from downbeat.policies.toml_text import to_toml
+from downbeat.policies.toml_text import write_toml
 
 LICENCE = "Apache-2.0"
 
@@ -72,5 +72,5 @@ def write_skill(
         table |= {"entry_phases_s": [0.0], "exit_phases_s": [0.0]}
     if label.command:
         table["command"] = dict(label.command)
-    (folder / "manifest.toml").write_text(to_toml(table), encoding="utf-8")
+    write_toml(folder / "manifest.toml", table)
     return load_manifest(folder / "manifest.toml")
