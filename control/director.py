@@ -16,6 +16,7 @@ from downbeat.lcm_types import control_status_t, skill_status_t
 
 OWN_SOURCE = -1
 """Source of requests that the director makes itself: back to stand."""
+RESUME_US = 2_500_000
 IDLE_STAND_US = 1_500_000
 """With nothing running, a gap this long before the next request is spent in stand."""
 
@@ -44,6 +45,7 @@ class Director:
         self._plan = ""
         self._coming: Request | None = None
         self._ends_utime = 0
+        self._alone_since_utime = 0
 
     @property
     def mode(self) -> int:
@@ -77,6 +79,7 @@ class Director:
         self._follow_retimes(playback)
         if self.blend is not None and self.blend.is_over:
             self.blend = None
+            self._alone_since_utime = now
         if self.blend is not None:
             return
         request = self._wanted(playback, now)
@@ -108,7 +111,9 @@ class Director:
         if head is not None and (active is not None or head.onset_utime - now < IDLE_STAND_US):
             return head
         if active is not None and playback.request_id != active.key[1]:
-            return active  # its successor was cancelled on the way: go back to it
+            # Its successor was cancelled on the way. Most likely another one follows at once;
+            # only if none does, go back.
+            return active if now - self._alone_since_utime > RESUME_US else None
         if active is None and playback.name != "stand":
             line = PhaseLine(now, 0.0, 1.0)
             return Request((OWN_SOURCE, 0), "stand", 0, now, 0, line, 0.0, (0.0, 0.0, 0.0), 0)

@@ -54,7 +54,8 @@ class Conductor:
             self._place = (match.track, int(match.track_zero_utime))
             self._is_lost = False
             self._timeline.lock(*self._place, int(match.header.utime))
-        elif match.lock == music_match_t.LOST:
+        else:
+            # A doubtful lock plans nothing: the old track's next section must not start after a cut.
             self._is_lost = True
 
     def sound(self, label: int, utime: int) -> None:
