@@ -10,19 +10,13 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
-STIFFNESS = 8_000.0
-"""[N/m] sideways, so that the robot's weight stays on its feet."""
-DAMPING = 1_000.0
-"""[N s/m]"""
-TILT_STIFFNESS = 600.0
-"""[N m/rad] about every axis; m g h of the G1 is 225 N m/rad."""
-TILT_DAMPING = 60.0
-"""[N m s/rad]"""
+SWAY_STIFFNESS, SWAY_DAMPING = 100.0, 20.0
+"""[1/s^2], [1/s] sideways, as accelerations; upwards there is no support."""
+TILT_STIFFNESS, TILT_DAMPING = 150.0, 24.0
+"""[1/s^2], [1/s] about every axis; gravity tips the robot with about 40 1/s^2."""
 SETTLE_S = 1.0
 SETTLE_GAIN = 100.0
 """Joints are this much stiffer than the motors while the contacts settle: no sag in the pose."""
-BASE = 1
-"""Body id of the pelvis."""
 
 
 class Gantry:
@@ -54,25 +48,27 @@ class Gantry:
         """Let go at once."""
         self._remaining_s = 0.0
 
-    def apply(self, data: Any, dt_s: float) -> None:
-        """Write the support into `xfrc_applied` and advance the release by one step."""
+    def apply(self, model: Any, data: Any, dt_s: float) -> None:
+        """Write the support into `qfrc_applied` and advance the release by one step."""
         if not self._remaining_s:
             return
         self._remaining_s = max(0.0, self._remaining_s - dt_s)
         share = self._remaining_s / self._release_s if self._release_s > 0.0 else 0.0
-        support(data, self._pos, self._quat, share * share * (3.0 - 2.0 * share))
+        support(model, data, self._pos, self._quat, share * share * (3.0 - 2.0 * share))
 
 
-def support(data: Any, pos: F64, quat: F64, share: float) -> None:
-    """Push the pelvis sideways and upright towards a pose, `share` of the full strength."""
-    wrench = data.xfrc_applied[BASE]
-    wrench[:2] = share * (STIFFNESS * (pos - data.qpos[:2]) - DAMPING * data.qvel[:2])
+def support(model: Any, data: Any, pos: F64, quat: F64, share: float) -> None:
+    """Push the base sideways and upright towards a pose, `share` of the full strength.
+
+    The forces are the mass matrix times the accelerations wanted of the base alone: the joints feel
+    nothing, and a stiff support of so light a body as the pelvis needs no tiny step.
+    """
+    wanted = np.zeros(model.nv)
+    wanted[:2] = SWAY_STIFFNESS * (pos - data.qpos[:2]) - SWAY_DAMPING * data.qvel[:2]
     error_b = np.zeros(3)  # rotation from the base to the pose, in the base's frame
     mujoco.mju_subQuat(error_b, quat, data.qpos[3:7])
-    torque_b = TILT_STIFFNESS * error_b - TILT_DAMPING * data.qvel[3:6]
-    torque_w = np.zeros(3)
-    mujoco.mju_rotVecQuat(torque_w, torque_b, data.qpos[3:7])
-    wrench[3:] = share * torque_w
+    wanted[3:6] = TILT_STIFFNESS * error_b - TILT_DAMPING * data.qvel[3:6]
+    mujoco.mj_mulM(model, data, data.qfrc_applied, share * wanted)
 
 
 def settle(model: Any, data: Any, joint_pos: F64) -> None:
@@ -91,16 +87,16 @@ def settle(model: Any, data: Any, joint_pos: F64) -> None:
     data.qpos[:7] = (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0)
     data.qpos[7:] = joint_pos
     data.ctrl[:] = joint_pos
-    mujoco.mj_kinematics(model, data)
+    mujoco.mj_forward(model, data)
     soles = [i for i in range(model.ngeom) if "_foot" in model.geom(i).name]
     data.qpos[2] -= min(data.geom_xpos[i][2] - model.geom_size[i][0] for i in soles)
     pos, quat = data.qpos[:2].copy(), data.qpos[3:7].copy()
     for _ in range(round(SETTLE_S / model.opt.timestep)):
-        support(data, pos, quat, 1.0)
+        support(model, data, pos, quat, 1.0)
         mujoco.mj_step(model, data)
     data.qvel[:] = 0.0
     data.time = 0.0
-    support(data, pos, quat, 1.0)
+    support(model, data, pos, quat, 1.0)
     mujoco.mj_forward(model, data)  # forces and sensors of the pose at rest
-    data.xfrc_applied[:] = 0.0
+    data.qfrc_applied[:] = 0.0
     model.actuator_gainprm[:], model.actuator_biasprm[:] = gains, biases

@@ -210,7 +210,7 @@ class Plant:
         if self.gantry.is_holding or self.diverged:
             return
         data = self.data
-        self.gantry.apply(data, self.config.timestep_s)
+        self.gantry.apply(self.model, data, self.config.timestep_s)
         mujoco.mj_step2(self.model, data)
         if not math.isfinite(float(data.qacc.sum())) or not math.isfinite(float(data.qpos.sum())):
             self.diverged = True

@@ -73,7 +73,7 @@ def _short(name: str, length: int = 13) -> str:
 def _onset(row: dict[str, Any]) -> Text:
     """An announced onset is an error in milliseconds, a surprised one a reaction in seconds."""
     if row["onset_error_ms"] is not None:
-        return Text(f"{row['onset_error_ms']:+.0f} ms")
+        return Text(f"{round(row['onset_error_ms']):+d} ms")
     return _value(row["reaction_s"], "{:+.2f} s")
 
 

@@ -368,7 +368,7 @@ def _draw_boundaries(axes: Any, picture: Picture, start_s: float, end_s: float) 
 def _draw_onset(axes: Any, section: Section, row: dict[str, Any], colour: str) -> None:
     """Write how late the dance came between the two rows, and mark sections that were missed."""
     if row["onset_error_ms"] is not None:
-        text = f"{row['onset_error_ms']:+.0f} ms"
+        text = f"{round(row['onset_error_ms']):+d} ms"
     elif row["reaction_s"] is not None:
         text = f"{row['reaction_s']:+.1f} s"
     else:
