@@ -55,7 +55,7 @@ class Conductor:
             self._is_lost = False
             self._timeline.lock(*self._place, int(match.header.utime))
         else:
-            # A doubtful lock plans nothing: the old track's next section must not start after a cut.
+            # A doubtful lock plans nothing: the old track's next section must not start.
             self._is_lost = True
 
     def sound(self, label: int, utime: int) -> None:
