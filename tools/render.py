@@ -47,18 +47,50 @@ def render_video(
     Returns:
         The video, or None when there is no GL; one line on standard error then says so.
     """
+    job = _job(run_dir, run_dir / VIDEO_NAME, audio, SIZE_PX, start_s, end_s)
+    return _run(job, progress)
+
+
+def render_still(
+    run_dir: Path, time_s: float, out: Path, size_px: tuple[int, int] = (1920, 1080)
+) -> Path | None:
+    """Render one moment of a run as PNG, with shadows and reflections.
+
+    Args:
+        run_dir: Holds run.lcmlog and truth.json.
+        time_s: Of the show.
+        out: PNG to write.
+        size_px: Width and height.
+
+    Returns:
+        The picture, or None when there is no GL; one line on standard error then says so.
+    """
+    return _run(_job(run_dir, out.with_suffix(".png"), None, size_px, time_s, time_s), None)
+
+
+def _job(
+    run_dir: Path,
+    out: Path,
+    audio: Path | None,
+    size_px: tuple[int, int],
+    start_s: float,
+    end_s: float,
+) -> Job:
     sound = audio or run_dir / AUDIO_NAME
-    out = run_dir / VIDEO_NAME
-    job = Job(
+    return Job(
         run_dir=str(run_dir),
         out=str(out),
         audio=str(sound) if sound.is_file() else "",
-        size_px=SIZE_PX,
+        size_px=size_px,
         fps=FPS,
         budget_ms=BUDGET_MS,
         start_s=start_s,
         end_s=end_s,
     )
+
+
+def _run(job: Job, progress: Progress | None) -> Path | None:
+    out = Path(job.out)
     reasons = []
     for backend in GL_BACKENDS:
         reason = _run_worker(job, backend, progress)
@@ -66,7 +98,7 @@ def render_video(
             return out
         reasons.append(f"{backend}: {reason}")
     out.unlink(missing_ok=True)
-    print(f"no {VIDEO_NAME}: nothing could render it ({'; '.join(reasons)})", file=sys.stderr)
+    print(f"no {out.name}: nothing could render it ({'; '.join(reasons)})", file=sys.stderr)
     return None
 
 

@@ -36,7 +36,7 @@ class Job:
 
     Attributes:
         run_dir: Holds the log and the truth file.
-        out: MP4 to write.
+        out: MP4 to write, or a PNG of the one moment `start_s`, as fine as it gets.
         audio: Sound of the show, empty: none.
         size_px: Width and height of the video.
         fps: Frames per second.
@@ -98,6 +98,13 @@ def main(argument: str) -> None:
     raw = json.loads(argument)
     job = Job(**{**raw, "size_px": tuple(raw["size_px"])})
     show = Show(read_run(Path(job.run_dir) / LOG_NAME), read_truth(Path(job.run_dir) / TRUTH_NAME))
+    if job.out.endswith(".png"):
+        _render_still(job, show)
+    else:
+        _render_video(job, show)
+
+
+def _render_video(job: Job, show: Show) -> None:
     start_s = -LEAD_S if np.isnan(job.start_s) else job.start_s
     end_s = show.truth.duration_s + LEAD_S if np.isnan(job.end_s) else job.end_s
     times_s = start_s + np.arange(round((end_s - start_s) * job.fps)) / job.fps
@@ -107,7 +114,7 @@ def main(argument: str) -> None:
     writer = threading.Thread(target=_encode, args=(job, audio, frames, failure))
     writer.start()
     try:
-        _render(job, show, times_s, audio, frames, failure)
+        _render(job, show, times_s, frames, failure)
     finally:
         frames.put(None)
         writer.join()
@@ -115,42 +122,78 @@ def main(argument: str) -> None:
         raise failure[0]
 
 
+class Frames:
+    """Makes the pictures of a show, one moment after the other."""
+
+    def __init__(self, job: Job, show: Show, times_s: NDArray[np.float64], scene: Any) -> None:
+        from downbeat.catalog.stage import NUM_COLUMNS
+        from downbeat.tools.video_scene import smooth_places
+
+        self._job, self._show, self._scene = job, show, scene
+        self._states = true_states(show, times_s)
+        self._places = smooth_places(self._states, job.fps)
+        self._levels = np.zeros((times_s.size, NUM_COLUMNS))
+        self._overlay = Overlay(job.size_px, show.truth, show.colours)
+        if job.audio:
+            sound = load_audio(Path(job.audio), float(times_s[0]), float(times_s[-1]) + 1 / job.fps)
+            found = band_levels(sound, job.fps, NUM_COLUMNS)
+            self._levels[: len(found)] = found[: times_s.size]
+
+    def picture(self, k: int, time_s: float) -> Image.Image:
+        """Return frame `k`, at a time of the show."""
+        moment = self._show.moment(time_s)
+        red, green, blue = palette.rgb(self._show.colours[moment.danced])
+        pixels = self._scene.render(
+            self._states[k],
+            self._places[k],
+            time_s,
+            (red / 255, green / 255, blue / 255),
+            moment.pulse,
+            self._levels[k],
+        )
+        picture = Image.fromarray(pixels)
+        if picture.size != self._job.size_px:
+            picture = picture.resize(self._job.size_px, Image.Resampling.BILINEAR, reducing_gap=1.0)
+        self._overlay.draw(picture, moment)
+        return picture
+
+
+def true_states(show: Show, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the plant's true qpos at times of the show, (n, 36)."""
+    from downbeat.tools.video_scene import states_at
+
+    truth = show.log.truth
+    wanted = show.zero_utime + np.round(times_s * 1e6).astype(np.int64)
+    return states_at(truth.utime, truth.qpos, wanted)
+
+
 def _render(
     job: Job,
     show: Show,
     times_s: NDArray[np.float64],
-    audio: NDArray[np.float32] | None,
     frames: queue.Queue[NDArray[np.uint8] | None],
     failure: list[BaseException],
 ) -> None:
-    from downbeat.catalog.stage import NUM_COLUMNS
-    from downbeat.tools.video_scene import best_scene, smooth_places, states_at
+    from downbeat.tools.video_scene import best_scene
 
-    truth = show.log.truth
-    wanted = show.zero_utime + np.round(times_s * 1e6).astype(np.int64)
-    states = states_at(truth.utime, truth.qpos, wanted)
-    places = smooth_places(states, job.fps)
-    scene = best_scene(states[0], job.budget_ms)
+    scene = best_scene(true_states(show, times_s[:1])[0], job.budget_ms)
     _say({"quality": scene.quality.name})
-    levels = np.zeros((times_s.size, NUM_COLUMNS))
-    if audio is not None:
-        found = band_levels(audio, job.fps, NUM_COLUMNS)
-        levels[: len(found)] = found[: times_s.size]
-    overlay = Overlay(job.size_px, show.truth, show.colours)
+    source = Frames(job, show, times_s, scene)
     for k, time_s in enumerate(times_s.tolist()):
-        moment = show.moment(time_s)
-        red, green, blue = palette.rgb(show.colours[moment.danced])
-        colour = (red / 255, green / 255, blue / 255)
-        pixels = scene.render(states[k], places[k], time_s, colour, moment.pulse, levels[k])
-        picture = Image.fromarray(pixels)
-        if picture.size != job.size_px:
-            picture = picture.resize(job.size_px, Image.Resampling.BILINEAR, reducing_gap=1.0)
-        overlay.draw(picture, moment)
-        frames.put(np.asarray(picture))
+        frames.put(np.asarray(source.picture(k, time_s)))
         if failure:
             return
         if k % job.fps == 0 or k == times_s.size - 1:
             _say({"done": k + 1, "total": int(times_s.size)})
+
+
+def _render_still(job: Job, show: Show) -> None:
+    """Render the second that ends at the moment, for the columns' sake, and keep its last frame."""
+    from downbeat.tools.video_scene import QUALITIES, Scene
+
+    times_s = job.start_s + np.arange(1 - job.fps, 1) / job.fps
+    source = Frames(job, show, times_s, Scene(QUALITIES[0]))
+    source.picture(job.fps - 1, job.start_s).save(job.out)
 
 
 def _encode(

@@ -127,3 +127,12 @@ def test_a_run_becomes_a_video(tmp_path):
     assert len(frames) == 20
     assert frames[0].shape == (540, 960, 3)
     assert frames[5].std() > 15  # a lit scene, not a black page
+
+
+def test_a_moment_becomes_a_picture(tmp_path):
+    path = render.render_still(write_run(tmp_path), 12.0, tmp_path / "still.png", (320, 180))
+    if path is None:
+        pytest.skip("no GL here")
+    with Image.open(path) as picture:
+        assert picture.size == (320, 180)
+        assert np.asarray(picture).std() > 15
