@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from downbeat.perception.features import F32
 from downbeat.tools.composer.effects import compress, convolve, drive, highpass, limit
-from downbeat.tools.composer.score import Note
+from downbeat.tools.composer.score import Note, hertz
 from downbeat.tools.composer.waves import F64, RATE_HZ, count
 
 Instrument = Callable[[float, float], F64]
@@ -32,16 +33,21 @@ class Stem:
         self.samples = np.zeros(desk.length)  # (n,)
 
     def play(
-        self, instrument: Instrument, notes: Iterable[Note], gain: float = 1.0, loose_s: float = 0.004
+        self,
+        instrument: Instrument,
+        notes: Iterable[Note],
+        gain: float = 1.0,
+        loose_s: float = 0.004,
     ) -> Stem:
         """Play notes; `loose_s` is how far a player may be off the grid."""
         for note in notes:
             if not self._desk.has(note.beat):
                 continue
             seconds = round(note.beats * self._desk.beat_s, 3)
-            key = (instrument, round(note.pitch, 3), seconds)
+            pitch = round(note.pitch + self._desk.transpose, 3)
+            key = (instrument, pitch, seconds)
             if key not in self._cache:
-                self._cache[key] = instrument(note.hz, seconds)
+                self._cache[key] = instrument(hertz(pitch), seconds)
             level = gain * note.velocity * self._random.uniform(0.9, 1.1)
             late_s = self._random.uniform(-loose_s, loose_s)
             self._add(self._cache[key], self._desk.time_s(note.beat) + late_s, level)
@@ -78,12 +84,22 @@ class Desk:
     Attributes:
         beat_s: Length of a beat [s].
         length: Samples of the whole piece, tail included.
+        transpose: Semitones added to every note.
     """
 
-    def __init__(self, bpm: float, beats: float, tail_s: float, max_beats: float | None) -> None:
+    def __init__(self, bpm: float, beats: float, tail_s: float, transpose: float = 0.0) -> None:
+        """Open a desk.
+
+        Args:
+            bpm: Tempo.
+            beats: Where to stop; what lies behind is not played.
+            tail_s: Time for the last notes to ring [s].
+            transpose: Semitones added to every note.
+        """
         self.beat_s = 60.0 / bpm
-        self._beats = beats if max_beats is None else min(beats, max_beats)
-        self.length = count(self._beats * self.beat_s + tail_s)
+        self.transpose = transpose
+        self._beats = beats
+        self.length = count(beats * self.beat_s + tail_s)
         self._stems: list[Stem] = []
         self._mix = np.zeros(self.length)  # (n,)
         self._send = np.zeros(self.length)  # (n,)
@@ -116,7 +132,7 @@ class Desk:
         if send_db is not None:
             self._send += gain * 10.0 ** (send_db / 20.0) * samples
 
-    def master(self, response: F64) -> np.ndarray:
+    def master(self, response: F64) -> F32:
         """Return the finished piece, (n,) float32: room, glue, loudness, limiter, faded ends."""
         mix = self._mix + highpass(convolve(self._send, response), 180.0)
         mix = highpass(mix, 28.0)

@@ -1,4 +1,4 @@
-"""Effects: filters, room, echo, drive, ducking, compressor, limiter. All offline, all vectorised."""
+"""Effects: filters, room, echo, drive, ducking, compressor, limiter; offline and vectorised."""
 
 from __future__ import annotations
 

@@ -13,12 +13,14 @@ class Form:
 
     Attributes:
         name: Of the piece.
-        bpm: Tempo.
+        title: For people.
+        bpm: Tempo; beat 0 stands at 0 s.
         sections: (name, bars) in order; names are unique.
         tail_s: What rings after the last bar [s].
     """
 
     name: str
+    title: str
     bpm: float
     sections: tuple[tuple[str, int], ...]
     tail_s: float = 2.0

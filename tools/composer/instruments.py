@@ -82,7 +82,9 @@ def theremin(hz: float, seconds: float) -> F64:
     slide = 2.0 ** (-np.exp(-times / 0.05) * 2.0 / 12.0)
     vibrato = 1.0 + 0.014 * np.clip(times / 0.3, 0.0, 1.0) * np.sin(2.0 * np.pi * 6.1 * times)
     moving = hz * slide * vibrato
-    tone = sine(moving, length) + 0.3 * sine(2.0 * moving, length) + 0.1 * sine(3.0 * moving, length)
+    tone = (
+        sine(moving, length) + 0.3 * sine(2.0 * moving, length) + 0.1 * sine(3.0 * moving, length)
+    )
     return 0.55 * tone * adsr(length, 0.06, release_s=0.15)
 
 
@@ -95,7 +97,15 @@ def organ(hz: float, seconds: float) -> F64:
     times = seconds_axis(length)
     turning = 2.0 * np.pi * 6.4 * times
     moving = hz * (1.0 + 0.0022 * np.sin(turning))
-    drawbars = ((0.5, 0.7), (1.0, 1.0), (1.5, 0.45), (2.0, 0.7), (3.0, 0.4), (4.0, 0.35), (6.0, 0.2))
+    drawbars = (
+        (0.5, 0.7),
+        (1.0, 1.0),
+        (1.5, 0.45),
+        (2.0, 0.7),
+        (3.0, 0.4),
+        (4.0, 0.35),
+        (6.0, 0.2),
+    )
     tone = sum(level * sine(ratio * moving, length, 0.13 * ratio) for ratio, level in drawbars)
     tone = tone * (1.0 + 0.16 * np.sin(turning + 0.8))
     click = highpass(noise(0.006, 7), 1_500.0) * np.hanning(count(0.006))
@@ -114,8 +124,10 @@ def piano(hz: float, seconds: float) -> F64:
             break
         level = number**-0.85 * (0.55 + 0.45 * np.cos(0.9 * number))
         decay_s = 1.5 * (220.0 / hz) ** 0.4 / (1.0 + 0.35 * number)
-        tone += level * np.sin(2.0 * np.pi * partial_hz * times + 0.7 * number) * np.exp(
-            -times / decay_s
+        tone += (
+            level
+            * np.sin(2.0 * np.pi * partial_hz * times + 0.7 * number)
+            * np.exp(-times / decay_s)
         )
     hammer = bandpass(noise(0.03, 11), 900.0, 5_000.0) * fall(0.03, 0.006)
     tone[: len(hammer)] += 0.35 * hammer
@@ -147,7 +159,14 @@ def church_bell(hz: float, seconds: float) -> F64:
 # ------------------------------------------------------------------ strings
 
 
-def _string(hz: float, seconds: float, brightness: float, damping: float, pick: float) -> F64:
+def _string(
+    hz: float,
+    seconds: float,
+    brightness: float,
+    damping: float,
+    pick: float,
+    dullness: float = 0.5,
+) -> F64:
     """Return a plucked string (Karplus-Strong, fractional delay).
 
     Args:
@@ -156,8 +175,9 @@ def _string(hz: float, seconds: float, brightness: float, damping: float, pick: 
         brightness: 0..1 of the pluck.
         damping: Loss per round, 0.99 short to 0.9995 long.
         pick: Where it is plucked, as a share of the string: a comb in the spectrum.
+        dullness: 0..0.5, how much faster treble dies.
     """
-    period = RATE_HZ / hz - 0.5
+    period = RATE_HZ / hz - dullness
     whole = int(period)
     part = period - whole
     burst = np.random.default_rng(round(10.0 * hz)).uniform(-1.0, 1.0, whole)
@@ -167,7 +187,7 @@ def _string(hz: float, seconds: float, brightness: float, damping: float, pick: 
     excitation[: min(whole, len(excitation))] = burst[: len(excitation)]
     feedback = np.zeros(whole + 3)
     feedback[0] = 1.0
-    taps = np.convolve([1.0 - part, part], [0.5, 0.5])
+    taps = np.convolve([1.0 - part, part], [1.0 - dullness, dullness])
     feedback[whole : whole + 3] -= damping * taps
     return np.asarray(lfilter([1.0], feedback, excitation))
 
@@ -175,7 +195,7 @@ def _string(hz: float, seconds: float, brightness: float, damping: float, pick: 
 def surf_guitar(hz: float, seconds: float) -> F64:
     """Return a bright electric guitar, picked near the bridge."""
     length = seconds + 0.05
-    tone = _string(hz, length, 0.85, 0.996, 0.13)
+    tone = _string(hz, length, 0.85, 0.994, 0.13, 0.15)
     tone = peak(highpass(tone, 120.0), 2_400.0, 1.2, 1.2)
     return 0.8 * drive(tone, 1.4) * adsr(length, 0.001, release_s=0.05)
 
@@ -239,7 +259,9 @@ def flute(hz: float, seconds: float) -> F64:
     times = seconds_axis(length)
     vibrato = np.clip((times - 0.12) / 0.2, 0.0, 1.0) * np.sin(2.0 * np.pi * 5.3 * times)
     moving = hz * (1.0 + 0.005 * vibrato)
-    tone = sine(moving, length) + 0.35 * sine(2.0 * moving, length) + 0.12 * sine(3.0 * moving, length)
+    tone = (
+        sine(moving, length) + 0.35 * sine(2.0 * moving, length) + 0.12 * sine(3.0 * moving, length)
+    )
     breath = bandpass(noise(length, 17), 0.9 * hz, min(5.0 * hz, 15_000.0))
     tone = tone * (1.0 + 0.12 * vibrato) + 0.10 * breath
     return 0.5 * tone * adsr(length, 0.035, 0.2, 0.9, 0.06)
@@ -252,7 +274,11 @@ def choir(hz: float, seconds: float) -> F64:
     source = chorus_of_saws(hz, length, 6, 16.0)
     source *= 1.0 + 0.08 * np.sin(2.0 * np.pi * 5.0 * times + 0.01 * hz)
     tone = 0.25 * lowpass(source, 700.0)
-    for formant_hz, level, width_hz in ((730.0, 1.0, 110.0), (1_090.0, 0.6, 120.0), (2_440.0, 0.3, 200.0)):
+    for formant_hz, level, width_hz in (
+        (730.0, 1.0, 110.0),
+        (1_090.0, 0.6, 120.0),
+        (2_440.0, 0.3, 200.0),
+    ):
         tone += level * bandpass(source, formant_hz - width_hz, formant_hz + width_hz, order=1)
     breath = bandpass(noise(length, 23), 2_000.0, 6_000.0)
     return 0.5 * (tone + 0.02 * breath) * adsr(length, 0.14, release_s=0.4)

@@ -1,8 +1,8 @@
-"""Neon Parade: synth-pop in A minor, 128 BPM. Supersaw hook, side-chained pads, four on the floor."""
+"""Neon Parade: synth-pop in A minor, 128 BPM. Supersaws, pumping pads, four on the floor."""
 
 from __future__ import annotations
 
-import numpy as np
+from downbeat.perception.features import F32
 from downbeat.tools.composer import instruments, percussion
 from downbeat.tools.composer.desk import Desk
 from downbeat.tools.composer.effects import ducking, echo, highpass, room, swept_lowpass
@@ -20,9 +20,10 @@ from downbeat.tools.composer.waves import F64
 
 FORM = Form(
     "neon_parade",
+    "Neon Parade",
     128.0,
     (("intro", 4), ("verse", 8), ("chorus", 8), ("bridge", 8), ("chorus2", 8), ("outro", 4)),
-    tail_s=2.5,
+    tail_s=1.5,
 )
 
 CHORDS = {
@@ -105,9 +106,9 @@ def _kick_beats() -> list[float]:
     for section in ("verse", "chorus", "chorus2"):
         first = FORM.start(section)
         beats += [first + beat for beat in range(FORM.bars(section) * 4)]
-    beats += [FORM.start("intro", 2) + beat for beat in range(0, 8)]
+    beats += [FORM.start("intro", 2) + beat for beat in range(8)]
     beats += [FORM.start("bridge", 4) + beat for beat in range(0, 16, 2)]
-    beats += [FORM.start("outro") + beat for beat in range(0, 12)]
+    beats += [FORM.start("outro") + beat for beat in range(12)]
     return sorted(set(beats))
 
 
@@ -123,7 +124,11 @@ def _drums(desk: Desk) -> tuple[F64, F64]:
             hats = "x.o.x.oox.o.x.oo" if bar % 2 == 0 else "x.o.x.o.xoo.x.ox"
             kit.hit(percussion.hat, grid_hits(hats, beat), 0.32)
             if is_loud:
-                kit.hit(lambda take: percussion.hat(take, 0.11), grid_hits("..x...x...x...x.", beat), 0.42)
+                kit.hit(
+                    percussion.open_hat,
+                    grid_hits("..x...x...x...x.", beat),
+                    0.42,
+                )
                 kit.hit(percussion.snare, grid_hits("....x.......x..o", beat), 0.4)
     for bar in range(4):
         kit.hit(percussion.hat, grid_hits("..o...o...o..oo.", FORM.start("outro", bar)), 0.3)
@@ -137,8 +142,8 @@ def _fills(desk: Desk, kit: object) -> None:
         beat = FORM.start(section)
         kit.hit(percussion.crash, [(beat, 1.0)], 0.5)
         kit.hit(percussion.snare, grid_hits("x.xxxxXX", beat - 2), 0.5)
-        kit.hit(lambda take: percussion.tom(165.0, take), grid_hits("x.x.....", beat - 2), 0.5)
-        kit.hit(lambda take: percussion.tom(110.0, take), grid_hits("....x.x.", beat - 2), 0.55)
+        kit.hit(percussion.tom_high, grid_hits("x.x.....", beat - 2), 0.5)
+        kit.hit(percussion.tom_low, grid_hits("....x.x.", beat - 2), 0.55)
     for bar, pattern in ((6, "x...x...x...x..."), (7, "x.x.x.x.xxxxXXXX")):
         kit.hit(percussion.snare, grid_hits(pattern, FORM.start("bridge", bar)), 0.42)
     for section, bars in (("verse", 2), ("chorus", 2), ("chorus2", 4)):
@@ -149,7 +154,12 @@ def _fills(desk: Desk, kit: object) -> None:
 def _pads(desk: Desk) -> F64:
     stem = desk.stem()
     for section, velocity in (
-        ("intro", 1.0), ("verse", 0.6), ("chorus", 1.0), ("bridge", 1.0), ("chorus2", 1.1), ("outro", 1.0)
+        ("intro", 1.0),
+        ("verse", 0.6),
+        ("chorus", 1.0),
+        ("bridge", 1.0),
+        ("chorus2", 1.1),
+        ("outro", 1.0),
     ):
         chords = held_chords(_chords(section), FORM.start(section), 4.0, 64.0, velocity)
         stem.play(instruments.pad, chords, 0.5)
@@ -188,16 +198,15 @@ def _leads(desk: Desk) -> tuple[F64, F64]:
     return sung, lead.samples + 0.5 * echo(lead.samples, 0.5 * desk.beat_s, 0.3)
 
 
-def compose(max_beats: float | None = None) -> np.ndarray:
-    """Return the piece, (n,) float32 at 44.1 kHz; `max_beats` cuts it short."""
-    desk = Desk(FORM.bpm, FORM.beats, FORM.tail_s, max_beats)
+def play(desk: Desk) -> F32:
+    """Return the piece, (n,) at 44.1 kHz, played on `desk`."""
     kick, kit = _drums(desk)
     kicks_s = [desk.time_s(beat) for beat in _kick_beats() if desk.has(beat)]
     pump = ducking(desk.length, kicks_s, 0.75, 0.8 * desk.beat_s)
     bass = desk.stem().play(instruments.synth_bass, _bass("verse", offbeat=True), loose_s=0.001)
     for section in ("chorus", "chorus2"):
         bass.play(instruments.synth_bass, _bass(section, offbeat=False), loose_s=0.001)
-    roots = [Note(beat, 3.9, root(symbol, 38.0), 0.8) for beat, symbol in _bar_chords()]
+    roots = [Note(beat, 3.9, root(symbol, 38.0), 0.4) for beat, symbol in _bar_chords()]
     bass.play(instruments.synth_bass, [n for n in roots if 80 <= n.beat < 112 or n.beat >= 144])
     voice, lead = _leads(desk)
     desk.mix(kick, -3.0)

@@ -45,7 +45,9 @@ def clap(take: int = 0) -> F64:
     envelope = 0.7 * np.where(times > 0.024, np.exp(-(times - 0.024) / 0.06), 0.0)
     for burst_s in (0.0, 0.009, 0.018):
         since = times - burst_s
-        envelope = np.maximum(envelope, np.where(since >= 0.0, np.exp(-np.maximum(since, 0.0) / 0.004), 0.0))
+        envelope = np.maximum(
+            envelope, np.where(since >= 0.0, np.exp(-np.maximum(since, 0.0) / 0.004), 0.0)
+        )
     return 0.9 * hands * envelope * fall(length, 1.0, 0.0005)
 
 
@@ -163,3 +165,61 @@ def wind(length_s: float, take: int = 0) -> F64:
     high = bandpass(noise(length_s, 1_101 + take), 520.0, 800.0)
     shape = np.minimum(times / 1.2, 1.0) * np.clip((length_s - times) / 1.5, 0.0, 1.0)
     return 0.8 * shape * ((1.0 - howl) * low + howl * high)
+
+
+# ------------------------------------------------------------------ hits by name, for the desk
+
+
+def kit_kick(take: int) -> F64:
+    """Return the bass drum of a drum kit."""
+    return kick(take, tight=False)
+
+
+def open_hat(take: int) -> F64:
+    """Return an open hi-hat."""
+    return hat(take, 0.1)
+
+
+def tom_high(take: int) -> F64:
+    """Return the small tom."""
+    return tom(180.0, take)
+
+
+def tom_middle(take: int) -> F64:
+    """Return the middle tom."""
+    return tom(138.0, take)
+
+
+def tom_low(take: int) -> F64:
+    """Return the floor tom."""
+    return tom(95.0, take)
+
+
+def conga_touch(take: int) -> F64:
+    """Return fingers on the high conga."""
+    return conga("touch", True, take)
+
+
+def conga_slap(take: int) -> F64:
+    """Return a slap on the high conga."""
+    return conga("slap", True, take)
+
+
+def conga_high(take: int) -> F64:
+    """Return an open stroke on the high conga."""
+    return conga("open", True, take)
+
+
+def conga_low(take: int) -> F64:
+    """Return an open stroke on the low conga."""
+    return conga("open", False, take)
+
+
+def timbale_high(take: int) -> F64:
+    """Return the small timbale."""
+    return timbale(True, take)
+
+
+def timbale_low(take: int) -> F64:
+    """Return the large timbale."""
+    return timbale(False, take)

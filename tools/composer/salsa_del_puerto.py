@@ -6,7 +6,7 @@ sixteen steps and two chords.
 
 from __future__ import annotations
 
-import numpy as np
+from downbeat.perception.features import F32
 from downbeat.tools.composer import instruments, percussion
 from downbeat.tools.composer.desk import Desk, Stem
 from downbeat.tools.composer.effects import echo, highpass, room
@@ -16,9 +16,10 @@ from downbeat.tools.composer.waves import F64
 
 FORM = Form(
     "salsa_del_puerto",
+    "Salsa del Puerto",
     98.0,
     (("intro", 4), ("verse", 6), ("coro", 6), ("mambo", 6), ("coro2", 6), ("outro", 2)),
-    tail_s=2.0,
+    tail_s=1.5,
 )
 HALVES = {
     "intro": "Dm Dm Gm A7 Dm Bb A7 A7",
@@ -34,7 +35,7 @@ BELL = "X.xxX.x. X.xxX.xx"
 MONTUNO = (0, 2, 3, 5, 7, 9, 11, 13, 15)
 
 VERSE = (
-    "-/.5 A4/.25 D5/.25 F5!/.75 E5/.25 D5/.5 G5!/.75 F5/.25 D5/.5 -/.25 |"
+    "-/.5 A4/.25 D5/.25 F5!/.75 E5/.25 D5/.5 G5!/.75 F5/.25 D5/.5 |"
     "E5/.25 G5/.5 E5!/.5 C5/.5 D5/.25 C5/.5 A4/1 -/.5 |"
     "-/.25 D5/.25 F5/.5 A#5!/.75 A5/.25 G5/.5 F5/.5 G5/.5 D5/.5 |"
     "E5!/.75 C#5/.25 E5/.5 G5/.5 F5/.75 E5/.25 D5/1 |"
@@ -99,26 +100,35 @@ def _montuno(section: str, velocity: float, figure: int) -> list[Note]:
             # A step on the last sixteenth already belongs to the next chord.
             half = min(2 * bar + (step + 1) // 8, len(symbols) - 1)
             tones = voicing(symbols[half], 67.0)
-            climb = (0, 2, 1, 2, 0, 1, 2, 1, 0) if (bar + figure) % 2 == 0 else (2, 0, 1, 0, 2, 1, 0, 1, 2)
+            climb = (
+                (0, 2, 1, 2, 0, 1, 2, 1, 0)
+                if (bar + figure) % 2 == 0
+                else (2, 0, 1, 0, 2, 1, 0, 1, 2)
+            )
             pitch = tones[climb[order] % len(tones)]
             if figure and order in (2, 6):
                 pitch = tones[-1] + (0 if bar % 3 else 2)
             beat = FORM.start(section, bar) + step / 4
             accent = 1.0 if step in (0, 3, 7, 11) else 0.75
             for octave in (-12, 0, 12):
-                notes.append(Note(beat, 0.22, pitch + octave, velocity * accent * (0.7 if octave else 1.0)))
+                notes.append(
+                    Note(beat, 0.22, pitch + octave, velocity * accent * (0.7 if octave else 1.0))
+                )
     return notes
 
 
 def _congas(stem: Stem, section: str) -> None:
     for bar in range(FORM.bars(section)):
         beat = FORM.start(section, bar)
-        stem.hit(lambda take: percussion.conga("touch", True, take), grid_hits("oo.o o... oo.oo...", beat))
-        stem.hit(lambda take: percussion.conga("slap", True, take), grid_hits("..x..... ..x...o.", beat))
+        stem.hit(
+            percussion.conga_touch,
+            grid_hits("oo.o o... oo.oo...", beat),
+        )
+        stem.hit(percussion.conga_slap, grid_hits("..x..... ..x...o.", beat))
         high = "......xx ......x." if bar % 2 == 0 else "......xx ...x..xx"
-        stem.hit(lambda take: percussion.conga("open", True, take), grid_hits(high, beat))
+        stem.hit(percussion.conga_high, grid_hits(high, beat))
         low = "........ .......x" if bar % 2 == 0 else "...xx... ........"
-        stem.hit(lambda take: percussion.conga("open", False, take), grid_hits(low, beat))
+        stem.hit(percussion.conga_low, grid_hits(low, beat))
 
 
 def _percussion(desk: Desk) -> F64:
@@ -145,18 +155,19 @@ def _percussion(desk: Desk) -> F64:
 
 def _fills(stem: Stem) -> None:
     """Timbales run into every section; a crash opens it."""
+    timbales = (percussion.timbale_high, percussion.timbale_low)
     runs = ("x.xx x.xx X.X.", "..xx xxxx X..X", "x.x. xxx. XXXX")
     for number, section in enumerate(("verse", "coro", "mambo", "coro2", "outro")):
         beat = FORM.start(section)
         run = runs[number % len(runs)]
-        stem.hit(lambda take: percussion.timbale(number % 2 == 0, take), grid_hits(run, beat - 3.0), 0.6)
-        stem.hit(lambda take: percussion.timbale(False, take), grid_hits("x..x", beat - 1.0), 0.6)
+        stem.hit(timbales[number % 2], grid_hits(run, beat - 3.0), 0.6)
+        stem.hit(percussion.timbale_low, grid_hits("x..x", beat - 1.0), 0.6)
         stem.hit(percussion.crash, [(beat, 1.0)], 0.4)
     last = FORM.start("outro")
     for beat in (0.0, 0.75, 1.5, 2.5, 3.0, 4.0):
         stem.hit(percussion.crash, [(last + beat, 1.0)], 0.2 if beat < 4.0 else 0.45)
-        stem.hit(lambda take: percussion.conga("open", False, take), [(last + beat, 1.0)], 0.9)
-        stem.hit(lambda take: percussion.timbale(True, take), [(last + beat, 1.0)], 0.7)
+        stem.hit(percussion.conga_low, [(last + beat, 1.0)], 0.9)
+        stem.hit(percussion.timbale_high, [(last + beat, 1.0)], 0.7)
 
 
 def _brass(desk: Desk) -> F64:
@@ -188,12 +199,15 @@ def _melody(desk: Desk) -> F64:
     return stem.samples
 
 
-def compose(max_beats: float | None = None) -> np.ndarray:
-    """Return the piece, (n,) float32 at 44.1 kHz; `max_beats` cuts it short."""
-    desk = Desk(FORM.bpm, FORM.beats, FORM.tail_s, max_beats)
+def play(desk: Desk) -> F32:
+    """Return the piece, (n,) at 44.1 kHz, played on `desk`."""
     piano = desk.stem()
     for section, velocity, figure in (
-        ("intro", 0.7, 0), ("verse", 0.75, 0), ("coro", 0.9, 1), ("mambo", 0.8, 2), ("coro2", 0.9, 3)
+        ("intro", 0.7, 0),
+        ("verse", 0.75, 0),
+        ("coro", 0.9, 1),
+        ("mambo", 0.8, 2),
+        ("coro2", 0.9, 3),
     ):
         piano.play(instruments.piano, _montuno(section, velocity, figure))
     last = [Note(FORM.start("outro", 1), 3.5, pitch, 0.9) for pitch in (50, 57, 62, 65, 69, 74)]
@@ -201,8 +215,8 @@ def compose(max_beats: float | None = None) -> np.ndarray:
     bass = desk.stem().play(instruments.upright_bass, _tumbao())
     melody = _melody(desk)
     melody += 0.5 * echo(melody, 0.75 * desk.beat_s, 0.25)
-    desk.mix(_percussion(desk), 0.0, -14.0)
-    desk.mix(highpass(piano.samples, 120.0), -8.0, -14.0)
+    desk.mix(_percussion(desk), -2.0, -14.0)
+    desk.mix(highpass(piano.samples, 120.0), -5.5, -14.0)
     desk.mix(bass.samples, -4.0)
     desk.mix(_brass(desk), -6.0, -9.0)
     desk.mix(melody, -8.0, -9.0)

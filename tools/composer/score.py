@@ -39,10 +39,10 @@ class Note:
     pitch: float
     velocity: float = 1.0
 
-    @property
-    def hz(self) -> float:
-        """Frequency, equal temperament on A4 = 440 Hz."""
-        return 440.0 * 2.0 ** ((self.pitch - 69.0) / 12.0)
+
+def hertz(pitch: float) -> float:
+    """Return the frequency of a MIDI pitch, equal temperament on A4 = 440 Hz."""
+    return 440.0 * 2.0 ** ((pitch - 69.0) / 12.0)
 
 
 def pitch_of(name: str) -> int:

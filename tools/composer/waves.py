@@ -1,4 +1,4 @@
-"""Oscillators and envelopes: plain arrays at the studio's rate, without aliasing, without clicks."""
+"""Oscillators and envelopes: arrays at the studio's rate, without aliasing and clicks."""
 
 from __future__ import annotations
 
