@@ -1,23 +1,16 @@
-"""The bundled pieces by name: composed at first use, the same bytes every time."""
+"""The bundled pieces by name."""
 
 from __future__ import annotations
 
-import hashlib
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
-import soundfile
 from downbeat.perception.features import F32
-from downbeat.runtime.errors import one_of
 from downbeat.tools.composer import midnight_bones, neon_parade, salsa_del_puerto, tide_runner
 from downbeat.tools.composer.desk import Desk
-from downbeat.tools.composer.form import BEATS_PER_BAR, Form
-from downbeat.tools.composer.waves import RATE_HZ, count
-from downbeat.tools.errors import ToolError
+from downbeat.tools.composer.form import Form
+from downbeat.tools.composer.waves import count
 
 KEYS = (0.0, 2.0, -3.0, 4.0, -1.0)
 """A repeated piece comes back in another key, so that no passage is a copy of another."""
@@ -39,21 +32,6 @@ class Piece:
     def name(self) -> str:
         """Its name in the catalogue."""
         return self.form.name
-
-    @property
-    def title(self) -> str:
-        """Its name for people."""
-        return self.form.title
-
-    @property
-    def tempo_bpm(self) -> float:
-        """Its tempo; beat 0 stands at 0 s."""
-        return self.form.bpm
-
-    @property
-    def beats_per_bar(self) -> int:
-        """Beats of a bar."""
-        return BEATS_PER_BAR
 
     def compose(self, max_beats: float | None = None) -> F32:
         """Return the piece, or its first `max_beats`: (n,) mono at 44.1 kHz, full scale 1."""
@@ -85,35 +63,3 @@ PIECES = {
     )
 }
 """The bundled pieces by name."""
-
-
-@lru_cache(maxsize=1)
-def code_version() -> str:
-    """Return a hash of the composer's code: a changed piece is composed again."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def render(name: str, cache_dir: Path) -> Path:
-    """Return the sound file of a piece, composed if the cache has none.
-
-    The file is `cache_dir`/VERSION/NAME.flac: the folder holds nothing but pieces and can be used
-    like any folder of recordings.
-
-    Raises:
-        ToolError: There is no such piece.
-    """
-    if name not in PIECES:
-        raise ToolError(
-            f"Composition '{name}' is unknown; compositions are {one_of(PIECES)} (composition)."
-        )
-    path = cache_dir / code_version() / f"{name}.flac"
-    if not path.is_file():
-        samples = PIECES[name].compose()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{name}-{os.getpid()}.part")
-        soundfile.write(part, samples, RATE_HZ, format="FLAC", subtype="PCM_16")
-        part.replace(path)  # whole or not at all, also when two shows start at once
-    return path
