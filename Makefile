@@ -28,7 +28,7 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/lint-imports --no-cache
+	PYTHONPATH=.ns $(BIN)/lint-imports --no-cache
 
 bench: setup
 	$(BIN)/downbeat bench $(ARGS)

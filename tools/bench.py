@@ -67,12 +67,11 @@ def bench_codec() -> list[Row]:
 def bench_fingerprint() -> list[Row]:
     """Time queries over the bundled tracks."""
     from downbeat.perception.matcher import AlignmentMatcher
-    from downbeat.perception.source import load_recording
+    from downbeat.tools.composer.pieces import COMPOSITIONS, composed_recording
     from downbeat.tools.rundir import CACHE_DIR
-    from downbeat.tools.tunes import PIECES, render
 
     matcher = AlignmentMatcher()
-    recordings = [load_recording(render(name, CACHE_DIR / "tracks")) for name in PIECES]
+    recordings = [composed_recording(name, CACHE_DIR / "tracks") for name in COMPOSITIONS]
     before = time.perf_counter()
     for recording in recordings:
         matcher.add(recording.name, recording.samples, recording.sample_rate_hz)

@@ -8,16 +8,16 @@ from pathlib import Path
 
 from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import BUNDLED_TRACKS, Track, load_tracks
-from downbeat.perception.source import Recording, load_recording
+from downbeat.perception.source import Recording
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.commands.show import Demo
+from downbeat.tools.composer.pieces import composed_recording
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import play, say, write_show
 from downbeat.tools.finish import finish_run
 from downbeat.tools.mashup import build_mashup
 from downbeat.tools.recordings import INDEX_NAME, Library, build_index, write_track
 from downbeat.tools.rundir import CACHE_DIR, new_run_dir
-from downbeat.tools.tunes import render
 
 ORDER = ("neon_parade", "salsa_del_puerto", "midnight_bones", "tide_runner")
 
@@ -49,8 +49,7 @@ def bundled_library(tracks: Mapping[str, Track], out: Path) -> Library:
     out.mkdir(parents=True, exist_ok=True)
     recordings: dict[str, Recording] = {}
     for name, track in tracks.items():
-        path = render(track.composition, CACHE_DIR / "tracks")
-        sound = load_recording(path)
+        sound = composed_recording(track.composition, CACHE_DIR / "tracks")
         recordings[name] = Recording(name, sound.samples, sound.sample_rate_hz)
         write_track(out / f"{name}.toml", track)
     build_index(recordings, out / INDEX_NAME)

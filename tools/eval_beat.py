@@ -7,21 +7,20 @@ import json
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import Track
-from downbeat.perception.source import Recording
 from downbeat.policies.manifest import load_skills
 from downbeat.runtime.errors import one_of
 from downbeat.tools.commands.evaluate import Beat
+from downbeat.tools.composer.pieces import COMPOSITIONS, composed_recording, form
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import play, say, write_show
 from downbeat.tools.finish import finish_run
 from downbeat.tools.mashup import build_mashup
 from downbeat.tools.recordings import INDEX_NAME, Library, build_index, write_track
-from downbeat.tools.rundir import new_run_dir
-from downbeat.tools.tunes.pieces import PIECES, Piece
-from downbeat.tools.tunes.synth import RATE
+from downbeat.tools.rundir import CACHE_DIR, new_run_dir
 
 LIMIT_MS = 20.0
-EXTRA_S = 6.0
+LEAD_S = 6.0
+"""Until the first lock and the settling of the phase; on top of what is asked for."""
 
 
 def run_eval_beat(args: Beat) -> int:
@@ -44,40 +43,35 @@ def run_eval_beat(args: Beat) -> int:
 
 
 def _one(args: Beat, bpm: float) -> dict[str, float]:
-    """Dance one tempo: a bundled piece, composed anew for it and long enough."""
+    """Dance one tempo: the piece of that tempo, from its beginning again and again."""
+    piece = next((name for name in COMPOSITIONS if form(name).bpm == bpm), None)
+    if piece is None:
+        tempos = one_of(form(name).bpm for name in COMPOSITIONS)
+        raise ToolError(f"There is no piece at {bpm:g} BPM; there are {tempos} (--bpm).")
     run_dir = new_run_dir(args.runs)
-    piece = _long_piece(bpm, args.seconds + EXTRA_S)
-    samples = piece.compose(piece)
-    duration_s = len(samples) / RATE
-    track = Track(
-        piece.name,
-        args.skill,
-        BeatGrid(bpm),
-        title=piece.title,
-        composition=piece.name,
-        duration_s=duration_s,
-    )
-    recordings = {piece.name: Recording(piece.name, samples, RATE)}
+    sound = composed_recording(piece, CACHE_DIR / "tracks")
+    track = Track(piece, args.skill, BeatGrid(bpm), composition=piece, duration_s=sound.duration_s)
+    recordings = {piece: sound}
     catalog = run_dir / "catalog"
     catalog.mkdir()
-    write_track(catalog / f"{piece.name}.toml", track)
+    write_track(catalog / f"{piece}.toml", track)
     build_index(recordings, catalog / INDEX_NAME)
-    library = Library({piece.name: track}, recordings, catalog)
-    set_list = SetList((SetEntry(piece.name, 0.0, args.seconds + EXTRA_S),))
-    mashup = build_mashup(set_list, library.tracks, recordings, announced=False)
+    library = Library({piece: track}, recordings, catalog)
+    mashup = build_mashup(_rounds(piece, bpm, args.seconds), library.tracks, recordings, True)
     mashup.truth["seed"] = args.seed
-    say(f"{bpm:g} BPM: {piece.title}, {duration_s:.0f} s")
+    say(f"{bpm:g} BPM: {piece}, {mashup.truth['duration_s']:.0f} s")
     play(write_show(run_dir, mashup, library, args.seed), run_dir, mashup, False, "")
     metrics = finish_run(run_dir, video=False, quiet=True)
     error = metrics["beat_phase_error_ms"]
     return {"bpm": bpm, "seconds": args.seconds, "falls": metrics["falls"], **error}
 
 
-def _long_piece(bpm: float, seconds: float) -> Piece:
-    """Return the piece whose own tempo is nearest, at `bpm`, with its form repeated."""
-    nearest = min(PIECES.values(), key=lambda piece: abs(piece.tempo_bpm - bpm))
-    bars = seconds * bpm / 60.0 / nearest.beats_per_bar
-    sections = nearest.sections
-    while sum(count for _, count in sections) < bars:
-        sections = sections + nearest.sections
-    return Piece(nearest.name, nearest.title, bpm, nearest.beats_per_bar, sections, nearest.compose)
+def _rounds(piece: str, bpm: float, seconds: float) -> SetList:
+    """Return whole rounds of a piece, cut on bars so that the beat goes on, then the rest."""
+    round_s = form(piece).beats * 60.0 / bpm
+    left_s = seconds + LEAD_S
+    entries = []
+    while left_s > 0.0:
+        entries.append(SetEntry(piece, 0.0, min(round_s, left_s)))
+        left_s -= round_s
+    return SetList(tuple(entries))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from control_rig import Rig
 from downbeat.control import faults
 from downbeat.lcm_types import (
     control_status_t,
@@ -30,8 +31,6 @@ def test_robot_stands_by_itself_in_simulation(rig):
 
 
 def test_robot_waits_for_the_operator_on_hardware(library):
-    from conftest import Rig
-
     rig = Rig(library)
     for _ in range(10):
         state = rig.state()
@@ -293,8 +292,6 @@ def test_interrupted_route_prefers_the_successor(rig):
 
 
 def test_same_inputs_give_the_same_bits(library):
-    from conftest import Rig
-
     def play():
         rig = Rig(library)
         rig.run(0.2)

@@ -8,7 +8,13 @@ import onnxruntime
 import pytest
 
 from downbeat.catalog.robot import load_g1
-from downbeat.policies.generator.export import CommandGrid, Tables, make_tables, write_onnx
+from downbeat.policies.generator.export import (
+    MAX_CORRECTION_RAD,
+    CommandGrid,
+    Tables,
+    make_tables,
+    write_onnx,
+)
 from downbeat.policies.manifest import load_skills
 
 TICKS = 7
@@ -20,7 +26,7 @@ def random_tables(gaits: int, seed: int = 0) -> Tables:
     return make_tables(
         [rng.normal(size=(TICKS, 29)) for _ in range(gaits)],
         [rng.normal(size=(TICKS, 64)) for _ in range(gaits)],
-        [rng.normal(size=(TICKS, 29, 64)) for _ in range(gaits)],
+        [0.03 * rng.normal(size=(TICKS, 29, 64)) for _ in range(gaits)],
     )
 
 
@@ -37,7 +43,8 @@ def numpy_actions(
         return weights @ both
 
     rows, gain = mix(tables.rows), mix(tables.gains).reshape(29, 64)
-    return rows[:29] + gain @ (obs - rows[29:])
+    limit = MAX_CORRECTION_RAD / load_g1().action_scale
+    return rows[:29] + np.clip(gain @ (obs - rows[29:]), -limit, limit)
 
 
 class Opened:
@@ -75,6 +82,15 @@ def test_onnx_equals_the_numpy_reference(dance: tuple[Opened, Tables], time_step
     found = opened.run(obs, time_step)["actions"]
     wanted = numpy_actions(tables, obs, time_step, np.ones(1))
     np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_feedback_cannot_move_a_target_further_than_its_limit(
+    dance: tuple[Opened, Tables],
+) -> None:
+    opened, tables = dance
+    found = opened.run(np.full(64, 1e3), 2.0)["actions"]
+    moved = (found - tables.rows[2, 0, :29]) * load_g1().action_scale
+    np.testing.assert_allclose(np.abs(moved), MAX_CORRECTION_RAD, rtol=1e-5)
 
 
 def test_the_phase_wraps_exactly(dance: tuple[Opened, Tables]) -> None:

@@ -1,0 +1,135 @@
+"""The matcher: right track, right place, and nothing where there is nothing."""
+
+import numpy as np
+import pytest
+from downbeat.perception.errors import PerceptionError
+from downbeat.perception.matcher import AlignmentMatcher, threshold
+from downbeat.perception.source import audio_files, load_recording
+from synthetic_music import RATE, make_music
+
+
+def window(music, name, start_s, seconds):
+    return music[name][round(start_s * RATE) : round((start_s + seconds) * RATE)]
+
+
+@pytest.mark.parametrize("seconds", [1.25, 2.0, 5.0])
+def test_windows_are_found_at_their_place(matcher, music, seconds):
+    rng = np.random.default_rng(1)
+    accepted = total = 0
+    for name in music:
+        for start_s in rng.uniform(0, 34, 10):
+            result = matcher.query(window(music, name, start_s, seconds), RATE)
+            total += 1
+            accepted += result.accepted
+            assert result.track == name
+            if result.accepted:
+                assert result.tau_s == pytest.approx(start_s, abs=0.08)
+    # Over three short pieces chance weighs more than over a catalogue; 1.25 s may hesitate.
+    assert accepted >= (0.9 if seconds >= 2.0 else 0.2) * total
+
+
+def test_shifting_the_window_shifts_the_answer(matcher, music):
+    first = matcher.query(window(music, "piece1", 10.0, 3.0), RATE)
+    for shift_s in (0.005, 0.05, 0.333, 4.0):
+        later = matcher.query(window(music, "piece1", 10.0 + shift_s, 3.0), RATE)
+        assert later.tau_s - first.tau_s == pytest.approx(shift_s, abs=0.015)
+
+
+def test_loudness_does_not_matter(matcher, music):
+    sound = window(music, "piece2", 7.0, 3.0)
+    loud, quiet = matcher.query(sound, RATE), matcher.query(0.02 * sound, RATE)
+    assert quiet.accepted
+    assert quiet.tau_s == pytest.approx(loud.tau_s, abs=1e-3)
+
+
+def test_noise_at_zero_decibels_does_not_hide_the_track(matcher, music):
+    sound = window(music, "piece0", 12.0, 5.0)
+    noise = np.random.default_rng(3).standard_normal(len(sound)).astype(np.float32)
+    noise *= np.sqrt((sound**2).mean())
+    result = matcher.query(sound + noise, RATE)
+    assert result.accepted and result.track == "piece0"
+    assert result.tau_s == pytest.approx(12.0, abs=0.08)
+
+
+def test_faster_playing_is_noticed(matcher, music):
+    import soxr
+
+    sound = window(music, "piece0", 8.0, 5.2)
+    faster = soxr.resample(sound, RATE * 1.02, RATE)
+    result = matcher.query(faster[: 5 * RATE], RATE)
+    assert result.track == "piece0"
+    assert result.rate == pytest.approx(1.02, abs=0.011)
+
+
+@pytest.mark.parametrize(
+    "sound",
+    [
+        np.zeros(3 * RATE, np.float32),
+        np.random.default_rng(0).standard_normal(3 * RATE).astype(np.float32) * 0.1,
+        0.3 * np.sin(2 * np.pi * 440 * np.arange(3 * RATE) / RATE).astype(np.float32),
+        make_music(99, 3.0),
+        np.zeros(10, np.float32),
+    ],
+    ids=["silence", "noise", "tone", "unknown music", "ten samples"],
+)
+def test_what_is_not_in_the_catalogue_is_not_accepted(matcher, sound):
+    assert not matcher.query(sound, RATE).accepted
+
+
+def test_saved_index_answers_the_same(matcher, music, tmp_path):
+    matcher.save(tmp_path / "index.npz")
+    loaded = AlignmentMatcher.load(tmp_path / "index.npz")
+    sound = window(music, "piece1", 20.0, 2.0)
+    assert loaded.query(sound, RATE) == matcher.query(sound, RATE)
+
+
+def test_damaged_or_missing_index_is_one_sentence(matcher, tmp_path):
+    path = tmp_path / "index.npz"
+    with pytest.raises(PerceptionError, match="catalog build"):
+        AlignmentMatcher.load(path)
+    path.write_bytes(b"nonsense")
+    with pytest.raises(PerceptionError, match="catalog build"):
+        AlignmentMatcher.load(path)
+    matcher.save(path)
+    path.write_bytes(path.read_bytes()[:-2000])
+    with pytest.raises(PerceptionError, match="catalog build"):
+        AlignmentMatcher.load(path)
+
+
+def test_agreement_is_high_at_the_place_and_low_elsewhere(matcher, music):
+    sound = window(music, "piece0", 15.0, 1.0)
+    here, correction_s = matcher.agreement(sound, RATE, "piece0", 15.01)
+    assert here > 0.6
+    assert correction_s == pytest.approx(-0.01, abs=0.015)
+    assert matcher.agreement(sound, RATE, "piece0", 25.0)[0] < 0.35
+    assert matcher.agreement(sound, RATE, "piece1", 15.0)[0] < 0.35
+
+
+def test_shorter_windows_must_stand_higher():
+    assert threshold(1.2) > threshold(2.0) > threshold(5.0)
+
+
+def test_silent_or_short_tracks_are_not_indexed():
+    with pytest.raises(PerceptionError, match="silent or shorter"):
+        AlignmentMatcher().add("nothing", np.zeros(5 * RATE, np.float32), RATE)
+
+
+def test_real_recordings_are_found_in_two_seconds(real_music):
+    files = audio_files(real_music)[:6]
+    recordings = [load_recording(path) for path in files]
+    real = AlignmentMatcher()
+    for recording in recordings:
+        real.add(recording.name, recording.samples[: 60 * recording.sample_rate_hz], 44_100)
+    rng = np.random.default_rng(5)
+    right = total = 0
+    for recording in recordings:
+        for start_s in rng.uniform(2, min(50, recording.duration_s - 4), 10):
+            rate = recording.sample_rate_hz
+            sound = recording.samples[round(start_s * rate) : round((start_s + 2.0) * rate)]
+            if np.sqrt((sound**2).mean()) < 0.01:
+                continue
+            result = real.query(sound, rate)
+            total += 1
+            right += result.accepted and result.track == recording.name
+            assert not (result.accepted and result.track != recording.name)
+    assert right >= 0.9 * total
