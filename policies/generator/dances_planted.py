@@ -75,9 +75,9 @@ PUMP = Choreography(
     title="Pump",
     beats=4,
     phrases=("pump", "pump it", "raise the roof"),
-    arms=ArmKeys(keys=((0.0, (-2.3, 0.5, 0.2, 0.9), (-2.3, 0.5, 0.2, 0.9)),), move_beats=1.0),
+    arms=ArmKeys(keys=((0.0, (-2.1, 0.5, 0.2, 0.8), (-2.1, 0.5, 0.2, 0.8)),), move_beats=1.0),
     moves=(
-        Wave("pelvis_z", -0.09, 2.0, shape="bounce"),
+        Wave("pelvis_z", -0.07, 2.0, shape="bounce"),
         Wave("pelvis_pitch", 0.08, 2.0, shape="bounce"),
         Wave("left_shoulder_pitch", 1.2, 2.0, shape="bounce"),
         Wave("right_shoulder_pitch", 1.2, 2.0, shape="bounce"),
@@ -144,13 +144,13 @@ ROBOT = Choreography(
     phrases=("robot dance", "do the robot", "dance like a robot"),
     arms=ArmKeys(keys=((0.0, (-0.6, 0.5, 0.0, 0.1), (-0.6, 0.5, 0.0, 0.1)),), move_beats=1.0),
     moves=(
-        Wave("waist_yaw", 0.4, 4.0, shape="square", hardness=2.0),
+        Wave("waist_yaw", 0.38, 4.0, shape="square", hardness=1.7),
         Wave("left_elbow", -0.7, 4.0, pi / 2, "square", 2.0),
         Wave("right_elbow", 0.7, 4.0, pi / 2, "square", 2.0),
         Wave("left_shoulder_yaw", 0.5, 4.0, 0.0, "square", 2.0),
         Wave("right_shoulder_yaw", 0.5, 4.0, 0.0, "square", 2.0),
         Wave("waist_pitch", 0.06, 4.0, pi / 2, "square", 2.0),
-        Wave("waist_roll", 0.08, 8.0, 0.0, "square", 2.0),
+        Wave("waist_roll", 0.05, 8.0, 0.0, "square", 1.6),
         Wave("pelvis_z", -0.015, 1.0, shape="bounce"),
     ),
 )
