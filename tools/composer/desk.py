@@ -44,10 +44,9 @@ class Stem:
             if not self._desk.has(note.beat):
                 continue
             seconds = round(note.beats * self._desk.beat_s, 3)
-            pitch = round(note.pitch + self._desk.transpose, 3)
-            key = (instrument, pitch, seconds)
+            key = (instrument, note.pitch, seconds)
             if key not in self._cache:
-                self._cache[key] = instrument(hertz(pitch), seconds)
+                self._cache[key] = instrument(hertz(note.pitch), seconds)
             level = gain * note.velocity * self._random.uniform(0.9, 1.1)
             late_s = self._random.uniform(-loose_s, loose_s)
             self._add(self._cache[key], self._desk.time_s(note.beat) + late_s, level)
@@ -84,20 +83,17 @@ class Desk:
     Attributes:
         beat_s: Length of a beat [s].
         length: Samples of the whole piece, tail included.
-        transpose: Semitones added to every note.
     """
 
-    def __init__(self, bpm: float, beats: float, tail_s: float, transpose: float = 0.0) -> None:
+    def __init__(self, bpm: float, beats: float, tail_s: float) -> None:
         """Open a desk.
 
         Args:
             bpm: Tempo.
             beats: Where to stop; what lies behind is not played.
             tail_s: Time for the last notes to ring [s].
-            transpose: Semitones added to every note.
         """
         self.beat_s = 60.0 / bpm
-        self.transpose = transpose
         self._beats = beats
         self.length = count(beats * self.beat_s + tail_s)
         self._stems: list[Stem] = []

@@ -5,15 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 from downbeat.perception.features import F32
 from downbeat.tools.composer import midnight_bones, neon_parade, salsa_del_puerto, tide_runner
 from downbeat.tools.composer.desk import Desk
 from downbeat.tools.composer.form import Form
-from downbeat.tools.composer.waves import count
-
-KEYS = (0.0, 2.0, -3.0, 4.0, -1.0)
-"""A repeated piece comes back in another key, so that no passage is a copy of another."""
 
 
 @dataclass(frozen=True)
@@ -38,19 +33,6 @@ class Piece:
         form = self.form
         beats = form.beats if max_beats is None else min(form.beats, max_beats)
         return self.play(Desk(form.bpm, beats, form.tail_s))
-
-    def compose_long(self, bpm: float, seconds: float) -> F32:
-        """Return at least `seconds` at another tempo: the piece again and again, key by key."""
-        form = self.form
-        round_s = form.beats * 60.0 / bpm
-        rounds = int(np.ceil(seconds / round_s))
-        out = np.zeros(count(rounds * round_s + form.tail_s), np.float32)
-        for number in range(rounds):
-            part = self.play(Desk(bpm, form.beats, form.tail_s, KEYS[number % len(KEYS)]))
-            first = count(number * round_s)
-            span = slice(first, min(first + len(part), len(out)))
-            out[span] += part[: span.stop - first]
-        return np.clip(out, -1.0, 1.0)
 
 
 PIECES = {

@@ -45,15 +45,6 @@ def compose(name: str, max_beats: float | None = None) -> F32:
     return _piece(name).compose(max_beats)
 
 
-def compose_long(name: str, bpm: float, seconds: float) -> Recording:
-    """Compose at least `seconds` of a piece at any tempo, without a cut and without a repeat.
-
-    Raises:
-        ToolError: There is no such piece.
-    """
-    return Recording(name, _piece(name).compose_long(bpm, seconds), RATE_HZ)
-
-
 @lru_cache(maxsize=1)
 def code_version() -> str:
     """Return a hash of the composer's code: a changed piece is composed again."""
