@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from downbeat.catalog.errors import CatalogError
 from numpy.typing import NDArray
+
+from downbeat.catalog.errors import CatalogError
 
 MIN_BPM, MAX_BPM = 30.0, 300.0
 

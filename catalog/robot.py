@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.catalog.errors import CatalogError
 from downbeat.runtime.errors import one_of
-from numpy.typing import NDArray
 
 FACTS_PATH = Path(__file__).with_name("g1_facts.json")
 NUM_JOINTS = 29

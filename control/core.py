@@ -12,6 +12,7 @@ from hashlib import blake2b
 from typing import Any, cast
 
 import numpy as np
+
 from downbeat.catalog.robot import load_g1
 from downbeat.control import faults
 from downbeat.control.director import Director, Frame

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+
 from downbeat.control.observation import RobotState
 from downbeat.control.phase import TICK_US, PhaseLine
 from downbeat.control.player import Blend, Playback, heading_of, mix, start_playback

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+
 from downbeat.control.errors import ControlError
 from downbeat.runtime.errors import one_of
 

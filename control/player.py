@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from downbeat.control.observation import RobotState, observe, yaw
 from downbeat.control.phase import TICK_S, TICK_US, PhaseFollower, PhaseLine, wrap
 from downbeat.control.policy import F32, JointTargets, Skill

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 import onnxruntime as ort
+
 from downbeat.catalog.robot import load_g1
 from downbeat.control.errors import ControlError
 from downbeat.control.observation import check_terms

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from downbeat.catalog.robot import load_g1
 from downbeat.control import faults as f
 from downbeat.control.observation import RobotState, tilt

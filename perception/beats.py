@@ -6,6 +6,7 @@ librosa finds beats; a smooth grid is made of them, because a dance cannot follo
 from __future__ import annotations
 
 import numpy as np
+
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.perception.features import F32
 

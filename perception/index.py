@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+
 from downbeat.perception import features as ft
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
+
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t
 from downbeat.perception.features import F32
 from downbeat.perception.matcher import MusicMatcher

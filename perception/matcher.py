@@ -15,6 +15,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
 from downbeat.perception import features as ft
 from downbeat.perception.features import F32
 from downbeat.perception.index import PAD_FRAMES, Index, coarse

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
+
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
 from downbeat.runtime.codec_layout import DTYPES, ITEM_SIZES, Layout, Leaf
 from downbeat.runtime.codec_runs import Block, Run, runs_of
 from downbeat.runtime.field_rules import (

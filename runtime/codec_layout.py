@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+
 from downbeat import lcm_types
 from downbeat.runtime.errors import DownbeatError
 from downbeat.runtime.field_rules import FieldRule, rule_for

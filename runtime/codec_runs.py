@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from downbeat.runtime.codec_layout import ITEM_SIZES, Layout, Leaf
 from downbeat.runtime.codec_slow import FINGERPRINT_BYTES
 

@@ -11,6 +11,7 @@ from operator import attrgetter
 from typing import Any, NoReturn
 
 import numpy as np
+
 from downbeat.runtime.codec_layout import DTYPES, ITEM_SIZES, Layout, Leaf
 from downbeat.runtime.errors import DownbeatError
 from downbeat.runtime.field_rules import UNIT_NORM_TOLERANCE, FieldRule

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import lcm
+
 from downbeat.lcm_types.channels import CHANNELS
 from downbeat.runtime.clock import Clock, ReplayClock
 from downbeat.runtime.codec import CodecError, codec_for

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from downbeat.runtime.clock import WaitingClock
 
 KEPT_SAMPLES = 1 << 18

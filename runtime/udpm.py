@@ -13,6 +13,7 @@ from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
 import lcm
+
 from downbeat.lcm_types.channels import CHANNELS, Channel
 from downbeat.runtime.bus_types import BusError
 from downbeat.runtime.clock import Clock

@@ -220,11 +220,17 @@ def write_verdict(manifest: SkillManifest, verdict: Verdict) -> SkillManifest:
     return load_manifest(path)
 
 
+def stand_of(folder: Path) -> SkillManifest:
+    """Return the folder's own stand, else the bundled one."""
+    own = folder / "stand" / "manifest.toml"
+    return load_manifest(own if own.exists() else BUNDLED_SKILLS / "stand" / "manifest.toml")
+
+
 def _certify_one(folder: Path, name: str) -> tuple[str, Verdict]:
     from downbeat.sim.certify_walk import certify_walk  # it imports this module
 
-    skills = load_skills(folder)
-    skill, stand = StageSkill(skills[name]), StageSkill(skills["stand"])
+    skill = StageSkill(load_skills(folder)[name])
+    stand = StageSkill(stand_of(folder))
     if skill.manifest.kind == "locomotion":
         return name, certify_walk(skill, stand)
     return name, certify_skill(skill, stand)
@@ -241,18 +247,18 @@ def certify(
 
     Args:
         names: Which; empty: all of the folder without a certificate.
-        folder: Folder of skills; None: the bundled ones. It must hold `stand`.
+        folder: Folder of skills; None: the bundled ones. Without a stand, the bundled one serves.
         write: Write each verdict into its manifest as soon as it is there.
         workers: Processes.
         report: Called after every skill.
 
     Raises:
-        SimError: A name is unknown or there is no stand.
+        SimError: A name is unknown.
         PolicyError: A manifest is wrong.
     """
     root = folder or BUNDLED_SKILLS
     skills = load_skills(root)
-    for name in (*names, "stand"):
+    for name in names:
         if name not in skills:
             raise SimError(f"Skill '{name}' is not in {root}; skills are {one_of(skills)}.")
     asked = list(names) or [n for n, manifest in skills.items() if manifest.certificate is None]

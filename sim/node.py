@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from downbeat.catalog.robot import NUM_JOINTS
 from downbeat.lcm_types import g1_low_state_t, imu_t, sim_truth_t
 from downbeat.runtime.bus import Bus

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from downbeat.catalog.robot import NUM_JOINTS
 from numpy.typing import NDArray
+
+from downbeat.catalog.robot import NUM_JOINTS
 
 F64 = NDArray[np.float64]
 

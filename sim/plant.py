@@ -15,13 +15,14 @@ from typing import Any, Literal
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.catalog.mjcf import IMU_SITES, ModelOptions, g1_mjcf
 from downbeat.catalog.robot import NUM_JOINTS, load_g1
 from downbeat.lcm_types import g1_low_cmd_t
 from downbeat.sim.errors import SimError
 from downbeat.sim.gantry import Gantry, settle
 from downbeat.sim.noise import NoiseConfig
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 

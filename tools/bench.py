@@ -9,10 +9,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from downbeat.runtime.errors import one_of
-from downbeat.tools.errors import ToolError
 from rich.console import Console
 from rich.table import Table
+
+from downbeat.runtime.errors import one_of
+from downbeat.tools.errors import ToolError
 
 Row = tuple[str, float, str]
 
@@ -67,7 +68,7 @@ def bench_codec() -> list[Row]:
 def bench_fingerprint() -> list[Row]:
     """Time queries over the bundled tracks."""
     from downbeat.perception.matcher import AlignmentMatcher
-    from downbeat.tools.composer.pieces import COMPOSITIONS, composed_recording
+    from downbeat.tools.composer.store import COMPOSITIONS, composed_recording
     from downbeat.tools.rundir import CACHE_DIR
 
     matcher = AlignmentMatcher()

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rich.console import Console
+from rich.table import Table
+
 from downbeat.catalog.tracks import BUNDLED_TRACKS, load_tracks
 from downbeat.perception.matcher import AlignmentMatcher
 from downbeat.perception.source import load_recording
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import dance_names, say
 from downbeat.tools.recordings import INDEX_NAME, build_library
-from rich.console import Console
-from rich.table import Table
 
 
 def build(audio: Path, out: Path, seed: int) -> int:

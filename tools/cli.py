@@ -10,6 +10,7 @@ import sys
 from typing import Annotated
 
 import tyro
+
 from downbeat.runtime.errors import DownbeatError
 from downbeat.tools.commands import catalog, evaluate, operate, policy, processes, show
 

@@ -11,7 +11,7 @@ from downbeat.catalog.tracks import BUNDLED_TRACKS, Track, load_tracks
 from downbeat.perception.source import Recording
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.commands.show import Demo
-from downbeat.tools.composer.pieces import composed_recording
+from downbeat.tools.composer.store import composed_recording
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import play, say, write_show
 from downbeat.tools.finish import finish_run

@@ -14,6 +14,7 @@ from importlib import metadata
 from pathlib import Path
 
 import lcm
+
 from downbeat.runtime.bus import MulticastError, foreign_traffic, parse_udpm_url
 from downbeat.runtime.udpm import RECV_BUF_SIZE, UdpmUrl, check_multicast
 from downbeat.tools.doctor_check import CheckResult, fail, ok, warn

@@ -10,7 +10,7 @@ from downbeat.catalog.tracks import Track
 from downbeat.policies.manifest import load_skills
 from downbeat.runtime.errors import one_of
 from downbeat.tools.commands.evaluate import Beat
-from downbeat.tools.composer.pieces import COMPOSITIONS, composed_recording, form
+from downbeat.tools.composer.store import COMPOSITIONS, composed_recording, form
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import play, say, write_show
 from downbeat.tools.finish import finish_run

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import soundfile
 import soxr
+
 from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import Track
 from downbeat.perception.features import F32

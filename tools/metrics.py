@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from downbeat.lcm_types import audio_source_t, control_status_t, skill_status_t
 from downbeat.tools.errors import ToolError
 from downbeat.tools.metrics_beats import BeatReport, SkillTables, beat_report

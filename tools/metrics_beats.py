@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.policies.manifest import SkillManifest, load_skills
 from downbeat.tools.metrics_sections import SectionResult
 from downbeat.tools.runlog import RunLog
 from downbeat.tools.truth import Segment, TrueBeats, Truth
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 

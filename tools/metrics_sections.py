@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.tools.runlog import RunLog, TruthColumns
 from downbeat.tools.truth import Section, Truth
-from numpy.typing import NDArray
 
 TICK_S = 0.02
 FOLLOWED_FRACTION = 0.8

@@ -7,12 +7,13 @@ import sys
 import time
 from typing import Any
 
+from rich.console import Console
+from rich.table import Table
+
 from downbeat.lcm_types import estop_t, operator_command_t, skill_request_t, skill_status_t
 from downbeat.runtime.bus import DEFAULT_URL, open_udpm
 from downbeat.runtime.clock import WallClock
 from downbeat.tools.rundir import CACHE_DIR
-from rich.console import Console
-from rich.table import Table
 
 ANSWER_TIMEOUT_S = 15.0
 STATES = {v: k for k, v in vars(skill_status_t).items() if k.isupper() and isinstance(v, int)}

@@ -6,11 +6,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.console import Console
+from rich.table import Table
+
 from downbeat.policies.manifest import SkillManifest, load_skills
 from downbeat.runtime.errors import one_of
 from downbeat.tools.errors import ToolError
-from rich.console import Console
-from rich.table import Table
 
 
 def generate(name: str, bpm: float | None, out: Path) -> int:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.tracks import Track, load_tracks
 from downbeat.perception.beats import estimate_grid

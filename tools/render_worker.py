@@ -14,6 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
 from downbeat.tools import palette
 from downbeat.tools.metrics import first_sample_utime
 from downbeat.tools.metrics_sections import is_fallen
@@ -21,8 +24,6 @@ from downbeat.tools.runlog import LOG_NAME, RunLog, read_run
 from downbeat.tools.truth import TRUTH_NAME, Truth, read_truth
 from downbeat.tools.video_encode import VideoWriter, band_levels, load_audio
 from downbeat.tools.video_overlay import Moment, Overlay
-from numpy.typing import NDArray
-from PIL import Image
 
 PULSE_BEATS = 0.45
 LEAD_S = 1.0

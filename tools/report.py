@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from downbeat.tools.metrics import compute_metrics, write_metrics
 from rich.box import SIMPLE
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
+
+from downbeat.tools.metrics import compute_metrics, write_metrics
 
 GOOD, BAD, UNKNOWN = "green", "bold red", "dim"
 BOUNDARY_WORDS = {"start": "start", "announced": "known", "unannounced": "surprise"}

@@ -7,6 +7,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
 from downbeat.lcm_types import (
     audio_source_t,
     control_status_t,
@@ -21,9 +25,6 @@ from downbeat.runtime.supervisor import Supervisor
 from downbeat.tools.errors import ToolError
 from downbeat.tools.processes import default_url, log_folder
 from downbeat.tools.show import SHOW_NAME, Show
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
 
 TABLE = (
     ("sim", "sim", CrashPolicy.STOP_ALL),

@@ -10,11 +10,12 @@ from typing import Any
 
 import lcm
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.lcm_types import g1_low_state_t
 from downbeat.lcm_types.channels import CHANNELS
 from downbeat.runtime.codec import CodecError, codec_for
 from downbeat.tools.errors import ToolError
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

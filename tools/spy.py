@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO
 
 import lcm
+
 from downbeat import lcm_types
 from downbeat.runtime.bus import parse_udpm_url
 from downbeat.tools.errors import ToolError

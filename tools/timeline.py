@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.lcm_types import music_match_t
 from downbeat.tools import palette
 from downbeat.tools.metrics import first_sample_utime
@@ -14,7 +16,6 @@ from downbeat.tools.metrics_sections import fallen_spans
 from downbeat.tools.runlog import AUDIO_NAME, LOG_NAME, RunLog, read_run
 from downbeat.tools.timeline_panel import WAVE_HZ, Picture, Span, draw_panel
 from downbeat.tools.truth import TRUTH_NAME, Truth, read_truth
-from numpy.typing import NDArray
 
 TIMELINE_NAME = "timeline.png"
 WIDTH_PX = 1600

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.tools import palette
 from downbeat.tools.truth import Section, Truth
-from numpy.typing import NDArray
 
 PANEL_PX = 1480
 CHARACTER_PX = 11.8

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.runtime.errors import one_of
 from downbeat.tools.errors import ToolError
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 

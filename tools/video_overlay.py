@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from PIL import Image, ImageDraw, ImageFont
+
 from downbeat.tools import palette
 from downbeat.tools.truth import Truth
-from PIL import Image, ImageDraw, ImageFont
 
 BAR_HEIGHT = 0.135
 """Of the picture's height."""

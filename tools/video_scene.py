@@ -8,9 +8,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+
 from downbeat.catalog.mjcf import ModelOptions, g1_mjcf
 from downbeat.catalog.stage import COLUMN_HEIGHT_M, COLUMN_PREFIX, NUM_COLUMNS
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 

@@ -1,10 +1,11 @@
 """Beat grids: maps between seconds and beats."""
 
 import pytest
-from downbeat.catalog.beatgrid import BeatGrid
-from downbeat.catalog.errors import CatalogError
 from hypothesis import given
 from hypothesis import strategies as st
+
+from downbeat.catalog.beatgrid import BeatGrid
+from downbeat.catalog.errors import CatalogError
 
 grids = st.one_of(
     st.builds(BeatGrid, st.floats(60, 200), st.floats(-1, 2)),

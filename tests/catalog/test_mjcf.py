@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+
 from downbeat.catalog.errors import CatalogError
 from downbeat.catalog.mjcf import ModelOptions, g1_mjcf
 from downbeat.catalog.robot import load_facts, load_g1

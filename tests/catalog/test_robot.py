@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from downbeat.catalog.errors import CatalogError
 from downbeat.catalog.robot import load_g1
 

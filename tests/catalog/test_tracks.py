@@ -1,13 +1,14 @@
 """Track files: rules, resolver, errors that name file and key."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.errors import CatalogError
 from downbeat.catalog.setlist import SetEntry, SetList, load_setlist
 from downbeat.catalog.tracks import Rule, Track, load_tracks
 from downbeat.policies.manifest import load_skills
-from hypothesis import given
-from hypothesis import strategies as st
 
 HEAD = 'name = "song"\ncomposition = "song"\ndefault_skill = "sway"\ntempo_bpm = 120.0\n'
 
@@ -48,7 +49,7 @@ def test_bundled_tracks_name_only_bundled_skills():
 
 
 def test_bundled_sections_stand_on_the_bars_of_the_pieces():
-    from downbeat.tools.composer.pieces import form
+    from downbeat.tools.composer.store import form
 
     for name, track in load_tracks().items():
         piece = form(track.composition)

@@ -2,6 +2,7 @@
 
 import pytest
 from control_rig import Rig
+
 from downbeat.control.policy import SkillLibrary
 
 SKILLS = ("stand", "kpop", "thriller", "discostep", "zombie", "walk", "wave")

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+
 from downbeat.catalog.robot import load_g1
 from downbeat.control.core import ControlCore, TickInput
 from downbeat.control.policy import SkillLibrary

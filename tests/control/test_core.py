@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from control_rig import Rig
+
 from downbeat.control import faults
 from downbeat.lcm_types import (
     control_status_t,

@@ -2,6 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
 from downbeat.control.errors import ControlError
 from downbeat.control.observation import (
     RobotState,
@@ -11,9 +15,6 @@ from downbeat.control.observation import (
     tilt,
     yaw,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 quats = arrays(np.float64, (4,), elements=st.floats(-1, 1)).filter(
     lambda q: np.linalg.norm(q) > 0.1

@@ -1,9 +1,10 @@
 """Phases, lines and crossings."""
 
 import pytest
-from downbeat.control.phase import PhaseFollower, PhaseLine, next_beat_utime, wrap
 from hypothesis import given
 from hypothesis import strategies as st
+
+from downbeat.control.phase import PhaseFollower, PhaseLine, next_beat_utime, wrap
 
 rates = st.floats(0.7, 1.3)
 phases = st.floats(0.0, 8.0)

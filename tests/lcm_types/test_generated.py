@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from downbeat import lcm_types
 from downbeat.lcm_types.channels import CHANNELS
 from downbeat.runtime.codec_layout import known_types

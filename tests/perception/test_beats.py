@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from downbeat.perception.beats import FALLBACK_BPM, estimate_grid, grid_from_beats
 
 

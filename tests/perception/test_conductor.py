@@ -3,14 +3,15 @@
 from dataclasses import dataclass
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import Rule, Track
 from downbeat.lcm_types import audio_class_t, music_match_t, skill_request_t
 from downbeat.perception.conductor import Conductor
 from downbeat.perception.timeline import Span, Timeline, tempo_octave
-from hypothesis import given
-from hypothesis import strategies as st
 
 START = 1_700_000_000_000_000
 

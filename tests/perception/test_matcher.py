@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from synthetic_music import RATE, make_music
+
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.matcher import AlignmentMatcher, threshold
 from downbeat.perception.source import audio_files, load_recording
-from synthetic_music import RATE, make_music
 
 
 def window(music, name, start_s, seconds):

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import soundfile
-from downbeat.perception.errors import PerceptionError
-from downbeat.perception.source import FileSource, Recording, Ring, audio_files, load_recording
 from hypothesis import given
 from hypothesis import strategies as st
+
+from downbeat.perception.errors import PerceptionError
+from downbeat.perception.source import FileSource, Recording, Ring, audio_files, load_recording
 
 NOISE = Recording("noise", np.arange(44_100, dtype=np.float32), 44_100)
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from synthetic_music import RATE, make_music
+
 from downbeat.perception.source import Ring
 from downbeat.perception.tracker import Lock, Tracker
-from synthetic_music import RATE, make_music
 
 HOP_S = 0.25
 

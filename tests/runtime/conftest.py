@@ -1,6 +1,7 @@
 import socket
 
 import pytest
+
 from downbeat.runtime.bus import MulticastError, parse_udpm_url
 from downbeat.runtime.udpm import check_multicast
 

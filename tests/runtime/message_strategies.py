@@ -1,8 +1,9 @@
 """Hypothesis strategies: valid messages of every generated type."""
 
 import numpy as np
-from downbeat.runtime.codec_layout import DTYPES, Layout, Leaf
 from hypothesis import strategies as st
+
+from downbeat.runtime.codec_layout import DTYPES, Layout, Leaf
 
 BITS = {"b": 8, "B": 8, "h": 16, "i": 32, "q": 64}
 QUATERNIONS = ([1.0, 0.0, 0.0, 0.0], [0.5, -0.5, 0.5, 0.5], [0.0, 0.6, 0.8, 0.0])

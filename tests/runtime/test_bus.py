@@ -9,6 +9,8 @@ import time
 import lcm
 import numpy as np
 import pytest
+from sample_messages import low_state, request
+
 from downbeat.lcm_types import (
     audio_chunk_t,
     estop_t,
@@ -26,7 +28,6 @@ from downbeat.runtime.bus import (
 )
 from downbeat.runtime.clock import SimClock, WallClock
 from downbeat.runtime.codec import CodecError, codec_for
-from sample_messages import low_state, request
 
 
 class Pair:

@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+
 from downbeat.lcm_types import heartbeat_t
 from downbeat.runtime.bus import MemqHub
 from downbeat.runtime.clock import (

@@ -6,6 +6,10 @@ from operator import attrgetter
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from message_strategies import messages
+
 from downbeat.lcm_types import (
     audio_chunk_t,
     control_status_t,
@@ -20,9 +24,6 @@ from downbeat.lcm_types import (
 from downbeat.runtime.codec import CodecError, codec_for
 from downbeat.runtime.codec_layout import known_types, layout_of
 from downbeat.runtime.codec_slow import decode_slow, encode_slow
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from message_strategies import messages
 
 TYPES = known_types()
 MESSAGE_TYPES = [cls for cls in TYPES.values() if "header" in cls.__slots__]

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+
 from downbeat.runtime.config import ConfigError, load_config, plain
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 from enum import IntEnum
 
 import pytest
+
 from downbeat.runtime.faults import Fault, FaultMonitor, FaultTable, FaultTableError
 
 

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+
 from downbeat import lcm_types
 from downbeat.runtime.codec_layout import known_types, layout_of
 from downbeat.runtime.field_rules import ENUMERATIONS, NAN_ALLOWED, RANGES, UNIT_QUATERNIONS

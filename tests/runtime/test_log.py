@@ -4,6 +4,8 @@ import json
 
 import lcm
 import pytest
+from sample_messages import low_state, request
+
 from downbeat.lcm_types import audio_chunk_t, g1_low_cmd_t
 from downbeat.lcm_types.channels import CHANNELS
 from downbeat.runtime.bus import MemqHub, open_udpm
@@ -18,7 +20,6 @@ from downbeat.runtime.log import (
     read_events,
     read_messages,
 )
-from sample_messages import low_state, request
 
 
 def lockstep_log(path):

@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+
 from downbeat.runtime.clock import TimeBase
 from downbeat.runtime.process import (
     CrashPolicy,

@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import Rule, Track

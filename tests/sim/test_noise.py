@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from downbeat.sim.noise import NO_NOISE, NoiseConfig, NoiseSource, roll_pitch_yaw, rotate
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])

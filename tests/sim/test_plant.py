@@ -1,6 +1,7 @@
 import mujoco
 import numpy as np
 import pytest
+
 from downbeat.catalog.robot import load_g1
 from downbeat.control.observation import RobotState, observe
 from downbeat.control.policy import SkillLibrary

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+
 from downbeat.catalog.robot import load_g1
 from downbeat.lcm_types import g1_low_cmd_t, g1_low_state_t
 from downbeat.runtime.bus import MemqHub

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import lcm
 import numpy as np
+
 from downbeat import lcm_types as t
 from downbeat.catalog.robot import load_g1
 from downbeat.lcm_types.channels import CHANNELS

@@ -5,14 +5,15 @@ import importlib
 import numpy as np
 import pytest
 import soundfile
+from hypothesis import given
+from hypothesis import strategies as st
+
 from downbeat.catalog.tracks import load_tracks
 from downbeat.tools.composer import effects, instruments, score, store, waves
 from downbeat.tools.composer.desk import CEILING, Desk
 from downbeat.tools.composer.form import BEATS_PER_BAR
 from downbeat.tools.composer.pieces import Piece
 from downbeat.tools.errors import ToolError
-from hypothesis import given
-from hypothesis import strategies as st
 
 EXCERPT_BEATS = 8.0
 SOLO = [

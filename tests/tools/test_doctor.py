@@ -3,6 +3,7 @@
 import subprocess
 
 import pytest
+
 from downbeat.runtime.bus import parse_udpm_url
 from downbeat.tools import doctor, doctor_machine, doctor_network
 from downbeat.tools.doctor_check import fail, ok, warn

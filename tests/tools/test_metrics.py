@@ -2,11 +2,12 @@ import json
 
 import numpy as np
 import pytest
+from synthetic_run import Script, skill_tables, write_run
+
 from downbeat.tools.errors import ToolError
 from downbeat.tools.metrics import compute_metrics, percentiles, write_metrics
 from downbeat.tools.metrics_beats import phase_error_s
 from downbeat.tools.truth import TrueBeats
-from synthetic_run import Script, skill_tables, write_run
 
 CONTRACT_KEYS = {
     "falls",

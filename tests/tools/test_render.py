@@ -1,14 +1,15 @@
 import av
 import numpy as np
 import pytest
+from PIL import Image
+from synthetic_run import SKILLS, Script, write_run
+
 from downbeat.tools import render
 from downbeat.tools.palette import skill_colours
 from downbeat.tools.truth import read_truth
 from downbeat.tools.video_encode import AUDIO_RATE_HZ, VideoWriter, band_levels, load_audio
 from downbeat.tools.video_overlay import Moment, Overlay
 from downbeat.tools.video_scene import smooth_places, states_at
-from PIL import Image
-from synthetic_run import SKILLS, Script, write_run
 
 
 def moment(**changes):

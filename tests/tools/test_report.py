@@ -1,10 +1,11 @@
 import io
 
 import pytest
-from downbeat.tools.metrics import compute_metrics
-from downbeat.tools.report import is_good, print_report
 from rich.console import Console
 from synthetic_run import Script, skill_tables, write_run
+
+from downbeat.tools.metrics import compute_metrics
+from downbeat.tools.report import is_good, print_report
 
 
 def printed(metrics):

@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
 from downbeat.lcm_types import control_status_t, g1_low_state_t
 from downbeat.runtime.bus import MulticastError, open_udpm, parse_udpm_url
 from downbeat.runtime.clock import WallClock

@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
+from PIL import Image
+from synthetic_run import Script, skill_tables, write_run
+
 from downbeat.tools.metrics import compute_metrics
 from downbeat.tools.palette import skill_colours
 from downbeat.tools.runlog import read_run
 from downbeat.tools.timeline import draw_timeline, gather, spans
 from downbeat.tools.truth import read_truth
-from PIL import Image
-from synthetic_run import Script, skill_tables, write_run
 
 
 def picture_of(folder):

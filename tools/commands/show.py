@@ -12,7 +12,7 @@ class Demo:
 
     lockstep: bool = False
     """One process over memq on simulated time: faster than real time and deterministic."""
-    announced: bool = True
+    announced: bool = False
     """Give the set list to the conductor, so that it knows the cuts ahead."""
     section_seconds: float = 20.0
     """Length of each track's section [s]."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import numpy as np
+
 from downbeat.perception.features import F32
 from downbeat.tools.composer.effects import compress, convolve, drive, highpass, limit
 from downbeat.tools.composer.score import Note, hertz

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.fft
-from downbeat.tools.composer.waves import F64, RATE_HZ, count, noise, seconds_axis
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import butter, lfilter, sosfilt
+
+from downbeat.tools.composer.waves import F64, RATE_HZ, count, noise, seconds_axis
 
 SWEEP_BLOCK = 512
 CONTROL_BLOCK = 64

@@ -6,6 +6,8 @@ A note's loudness is the desk's business; lengths include the release.
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import lfilter
+
 from downbeat.tools.composer.effects import bandpass, drive, highpass, lowpass, peak
 from downbeat.tools.composer.waves import (
     F64,
@@ -20,7 +22,6 @@ from downbeat.tools.composer.waves import (
     seconds_axis,
     sine,
 )
-from scipy.signal import lfilter
 
 
 def _opening(bright: F64, dark_hz: float, envelope: F64) -> F64:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from downbeat.tools.composer.effects import bandpass, drive, highpass, lowpass
 from downbeat.tools.composer.waves import F64, count, fall, noise, pulse, seconds_axis, sine
 

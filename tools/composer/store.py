@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import soundfile
+
 from downbeat.perception.features import F32
 from downbeat.perception.source import Recording, load_recording
 from downbeat.runtime.errors import one_of
