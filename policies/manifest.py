@@ -7,9 +7,10 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, get_args
 
 from downbeat.policies.errors import PolicyError
+from downbeat.policies.toml_fields import check_keys, integer, number, numbers, texts
 from downbeat.runtime.errors import one_of
 
 Kind = Literal["planted", "stepping", "locomotion"]
@@ -178,17 +179,17 @@ def file_sha256(path: Path) -> str:
 
 
 def _from_table(table: Mapping[str, Any], path: Path) -> SkillManifest:
-    _check_keys(table, _KEYS, _KEYS - _OPTIONAL, f"{path}")
+    check_keys(table, _KEYS, _KEYS - _OPTIONAL, f"{path}")
     values: dict[str, Any] = dict(table)
     for key, length in (("tempo_range_bpm", 2), ("entry_phases_s", None), ("exit_phases_s", None)):
         if key in values:
-            values[key] = _numbers(values[key], length, f"{path}:{key}")
+            values[key] = numbers(values[key], length, f"{path}:{key}")
     for key in ("duration_s", "bpm"):
-        values[key] = _number(values[key], f"{path}:{key}")
+        values[key] = number(values[key], f"{path}:{key}")
     for key in ("rate_hz", "ticks", "beats"):
-        values[key] = _integer(values[key], f"{path}:{key}")
+        values[key] = integer(values[key], f"{path}:{key}")
     for key in ("observation_names", "phrases"):
-        values[key] = _texts(values.get(key, []), f"{path}:{key}")
+        values[key] = texts(values.get(key, []), f"{path}:{key}")
     for key in ("name", "title", "file", "sha256", "licence", "kind"):
         if not isinstance(values[key], str):
             raise PolicyError(f"{values[key]!r} is not text ({path}:{key}).")
@@ -204,26 +205,26 @@ def _from_table(table: Mapping[str, Any], path: Path) -> SkillManifest:
 def _command(table: Any, path: Path) -> CommandLimits:
     where = f"{path}:command"
     keys = {field.name for field in fields(CommandLimits)}
-    _check_keys(table, keys, keys - {"heading_filter_s"}, where)
+    check_keys(table, keys, keys - {"heading_filter_s"}, where)
     values: dict[str, Any] = {}
     for key, value in table.items():
         if key in ("vx", "vy", "yaw_rate"):
-            values[key] = _numbers(value, 2, f"{where}.{key}")
+            values[key] = numbers(value, 2, f"{where}.{key}")
         else:
-            values[key] = _number(value, f"{where}.{key}")
+            values[key] = number(value, f"{where}.{key}")
     return CommandLimits(**values)
 
 
 def _certificate(table: Any, path: Path) -> Certificate:
     where = f"{path}:certificate"
     keys = {field.name for field in fields(Certificate)}
-    _check_keys(table, keys, keys, where)
+    check_keys(table, keys, keys, where)
     case_keys = {field.name for field in fields(CertificateCase)}
     cases = []
     for index, case in enumerate(table["case"]):
-        _check_keys(case, case_keys, case_keys - {"note"}, f"{where}.case[{index}]")
+        check_keys(case, case_keys, case_keys - {"note"}, f"{where}.case[{index}]")
         cases.append(CertificateCase(**case))
-    pushes = _numbers(table["pushes_n_s"], None, f"{where}.pushes_n_s")
+    pushes = numbers(table["pushes_n_s"], None, f"{where}.pushes_n_s")
     return Certificate(
         method=str(table["method"]),
         versions=str(table["versions"]),
@@ -272,39 +273,3 @@ def _check_file(manifest: SkillManifest, path: Path) -> None:
             f"{manifest.onnx_path} has SHA-256 {found[:12]}..., the manifest expects "
             f"{manifest.sha256[:12]}... ({path}:sha256)."
         )
-
-
-def _check_keys(table: Any, known: set[str], needed: set[str], where: str) -> None:
-    if not isinstance(table, Mapping):
-        raise PolicyError(f"A table is expected, not {table!r} ({where}).")
-    unknown = sorted(set(table) - known)
-    if unknown:
-        raise PolicyError(f"Key '{unknown[0]}' is unknown; keys are {one_of(known)} ({where}).")
-    missing = sorted(needed - set(table))
-    if missing:
-        raise PolicyError(f"Key '{missing[0]}' is missing ({where}).")
-
-
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise PolicyError(f"{value!r} is not a number ({where}).")
-    return float(value)
-
-
-def _integer(value: Any, where: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise PolicyError(f"{value!r} is not a whole number ({where}).")
-    return value
-
-
-def _numbers(value: Any, length: int | None, where: str) -> Any:
-    if not isinstance(value, list) or (length is not None and len(value) != length):
-        wanted = "a list of numbers" if length is None else f"a list of {length} numbers"
-        raise PolicyError(f"{value!r} is not {wanted} ({where}).")
-    return tuple(_number(item, where) for item in value)
-
-
-def _texts(value: Any, where: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise PolicyError(f"{value!r} is not a list of texts ({where}).")
-    return cast(tuple[str, ...], tuple(value))

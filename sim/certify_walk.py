@@ -15,9 +15,7 @@ from downbeat.policies.manifest import Certificate, CertificateCase, CommandLimi
 from downbeat.sim.certify import (
     PUSH_DIRECTIONS,
     STAND_TICKS,
-    Verdict,
     largest_push,
-    versions,
 )
 from downbeat.sim.stage import (
     FINE,
@@ -33,6 +31,7 @@ from downbeat.sim.stage import (
     StageSkill,
     Variation,
 )
+from downbeat.sim.verdict import Verdict, versions
 
 F64 = NDArray[np.float64]
 SPEED_M_S = 0.2

@@ -8,7 +8,9 @@ from downbeat.policies.manifest import load_skills
 from downbeat.sim import certify
 from downbeat.sim.errors import SimError
 from downbeat.sim.stage import HEAVY, LATE, NOMINAL, QUIET, Act, Stage, StageSkill
-from downbeat.sim.transition_survey import Trial, home_beats, run_trial
+from downbeat.sim.transition_report import Trial
+from downbeat.sim.transition_survey import home_beats, run_trial
+from downbeat.sim.verdict import Verdict, write_verdict
 
 SKILLS = load_skills()
 
@@ -95,7 +97,7 @@ def test_a_verdict_is_written_and_read_back(tmp_path, stand: StageSkill) -> None
     case = CertificateCase("hardware noise", 30.0, 4, 0, 30.0, 0.01, 0.02)
     certificate = Certificate("m", "v", True, (1.0, 2.0, 3.0, 4.0), (case,))
     manifest = load_manifest(folder / "manifest.toml")
-    written = certify.write_verdict(manifest, certify.Verdict(certificate, (95.0, 145.0)))
+    written = write_verdict(manifest, Verdict(certificate, (95.0, 145.0)))
     assert written.certificate == certificate
     assert written.tempo_range_bpm == (95.0, 145.0)
 
