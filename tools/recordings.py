@@ -12,7 +12,7 @@ import numpy as np
 
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.tracks import Track, load_tracks
-from downbeat.perception.beats import estimate_grid
+from downbeat.perception.beats import GRID_FORMAT, estimate_grid
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import FORMAT, Index
 from downbeat.perception.source import Recording, audio_files, load_recording
@@ -92,9 +92,7 @@ def _own_audio(track: Track, recordings: Mapping[str, Recording]) -> Recording:
 
 def _grid(recording: Recording, say: Say) -> BeatGrid:
     """Return the beat grid; analysing takes seconds, so it is cached by content."""
-    from downbeat.runtime.journal import JOURNAL_VERSION  # any change of code: delete the cache
-
-    digest = hashlib.sha256(recording.samples.tobytes() + bytes([JOURNAL_VERSION]))
+    digest = hashlib.sha256(recording.samples.tobytes() + bytes([GRID_FORMAT]))
     cached = CACHE_DIR / "grids" / f"{digest.hexdigest()[:24]}.npz"
     if cached.is_file():
         with np.load(cached) as data:

