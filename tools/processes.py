@@ -25,7 +25,8 @@ from downbeat.tools.show import (
 
 MUSIC_DELAY_US = 1_000_000
 """From the operator's go to the first sample."""
-SIM_PRIORITY, CONTROL_PRIORITY, AUDIO_PRIORITY = 40, 50, 30
+SIM_PRIORITY, CONTROL_PRIORITY = 60, 50
+"""The plant stands for the world, which does not wait; control comes next."""
 SIM_CATCH_UP = 25
 
 
