@@ -71,9 +71,9 @@ def report(outcomes: Sequence[Outcome], count: int) -> str:
         f"`python -m downbeat.sim.transition_survey --count {count}"
         " --out docs/transitions_measured.md --write`.",
         "",
-        "Each trial: the generator's model (5 ms), hardware-like noise, mass and friction drawn",
-        "from nominal, +5 % / .57 and -5 % / .63, tempo drawn from 100 to 140 BPM, free phases",
-        "drawn; on the feet 4 s after the change. Numbers are falls/trials.",
+        "Each trial: hardware-like noise; the model drawn from nominal, mass +5 % / friction .57,",
+        "mass -5 % / friction .63 (5 ms physics) and nominal at 2 ms; the tempo drawn from 100 to",
+        "140 BPM; free phases drawn; on the feet 4 s after the change. Numbers are falls/trials.",
         "",
         "| change | falls/trials |",
         "|---|---|",

@@ -2,8 +2,9 @@
 
     python -m downbeat.sim.transition_survey --out docs/transitions_measured.md --write
 
-Every trial draws its own noise, mass and friction (nominal, +5 % / .57, -5 % / .63), tempo
-(100 to 140 BPM) and, where phases are free, its phases; the robot must be on its feet 4 s later.
+Every trial draws its own noise, its model (nominal, mass +5 % / friction .57, -5 % / .63, 2 ms
+physics), its tempo (100 to 140 BPM) and, where phases are free, its phases; the robot must be on
+its feet 4 s later.
 Blends are control's own. With `--write`, the exits without a fall go into the manifests.
 """
 
@@ -29,6 +30,7 @@ from downbeat.policies.generator.build import CHOREOGRAPHIES
 from downbeat.policies.manifest import BUNDLED_SKILLS, SkillManifest, load_manifest, load_skills
 from downbeat.policies.toml_text import write_toml
 from downbeat.sim.stage import (
+    FINE,
     HEAVY,
     LIGHT,
     NOMINAL,
@@ -39,7 +41,7 @@ from downbeat.sim.stage import (
 )
 from downbeat.sim.transition_report import Outcome, Trial, report
 
-MODELS = (NOMINAL, HEAVY, LIGHT)
+MODELS = (NOMINAL, HEAVY, LIGHT, FINE)
 STAND_TICKS = 25
 WATCH_TICKS = 200
 TEMPO_BPM = (100.0, 140.0)
@@ -55,7 +57,7 @@ def run_trial(folder: Path, trial: Trial) -> Outcome:
     """Run one trial."""
     skills = _skills(folder)
     rng = np.random.default_rng([trial.seed, *trial.kind.encode(), *trial.target.encode()])
-    stage = Stage(skills["stand"], MODELS[int(rng.integers(3))], int(rng.integers(2**31)))
+    stage = Stage(skills["stand"], MODELS[int(rng.integers(len(MODELS)))], int(rng.integers(2**31)))
     stage.run(STAND_TICKS + int(rng.integers(20)))
     source, target = skills[trial.source], skills[trial.target]
     _lead_in(stage, source, trial, rng)
