@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Container
+import json
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from downbeat.catalog.errors import CatalogError
+from downbeat.runtime.config import load_config
+from downbeat.runtime.errors import one_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +20,13 @@ class SetEntry:
     track: str
     from_s: float
     seconds: float
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.from_s < math.inf and 0.0 < self.seconds < math.inf):
+            raise ValueError(
+                f"from_s is {self.from_s} and seconds is {self.seconds}, "
+                "valid are from_s >= 0 and seconds > 0"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,35 +46,38 @@ class SetList:
     def to_toml(self) -> str:
         """Return the set list as TOML."""
         rows = [
-            f'[[set]]\ntrack = "{e.track}"\nfrom_s = {e.from_s!r}\nseconds = {e.seconds!r}\n'
+            f"[[set]]\ntrack = {json.dumps(e.track, ensure_ascii=False)}\n"
+            f"from_s = {e.from_s!r}\nseconds = {e.seconds!r}\n"
             for e in self.entries
         ]
         return "\n".join(rows)
 
 
-def load_setlist(path: Path, tracks: Container[str] | None = None) -> SetList:
+@dataclass(frozen=True, slots=True)
+class _SetFile:
+    """What the file holds."""
+
+    set: tuple[SetEntry, ...]
+
+
+def load_setlist(path: Path, tracks: Iterable[str] | None = None) -> SetList:
     """Read a set list.
 
+    Args:
+        path: The file, [[set]] tables of track, from_s, seconds.
+        tracks: If given, every entry must name one of these.
+
     Raises:
-        CatalogError: Missing, wrong keys or values, or a track that is not in the catalogue.
+        DownbeatError: Missing, wrong keys or values, or a track that is not in the catalogue.
     """
-    if not path.is_file():
-        raise CatalogError(f"Set list {path} does not exist.")
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise CatalogError(f"{path} is not valid TOML: {error}.") from error
-    entries = []
-    for number, row in enumerate(data.get("set", ())):
-        where = f"{path}:set[{number}]"
-        if set(row) != {"track", "from_s", "seconds"}:
-            raise CatalogError(f"A set entry needs exactly track, from_s, seconds ({where}).")
-        entry = SetEntry(str(row["track"]), float(row["from_s"]), float(row["seconds"]))
-        if entry.seconds <= 0.0 or entry.from_s < 0.0:
-            raise CatalogError(f"from_s must be >= 0 and seconds > 0 ({where}).")
-        if tracks is not None and entry.track not in tracks:
-            raise CatalogError(f"Track '{entry.track}' is not in the catalogue ({where}.track).")
-        entries.append(entry)
+    entries = load_config(path, _SetFile).set
     if not entries:
-        raise CatalogError(f"{path} has no [[set]] entry.")
-    return SetList(tuple(entries))
+        raise CatalogError(f"{path} has no [[set]] entry (set).")
+    known = None if tracks is None else set(tracks)
+    for number, entry in enumerate(entries):
+        if known is not None and entry.track not in known:
+            raise CatalogError(
+                f"Track '{entry.track}' is not in the catalogue; tracks are {one_of(known)} "
+                f"({path}:set[{number}].track)."
+            )
+    return SetList(entries)

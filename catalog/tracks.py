@@ -130,6 +130,9 @@ def parse_track(data: Mapping[str, Any], where: str, folder: Path) -> Track:
     audio = (folder / data["audio"]) if "audio" in data else None
     if audio is not None and not audio.is_file():
         raise CatalogError(f"Audio file {audio} does not exist ({where}:audio).")
+    duration_s = float(data.get("duration_s", float("inf")))
+    if not duration_s > 0.0:
+        raise CatalogError(f"'duration_s' is {duration_s}, valid is > 0 ({where}:duration_s).")
     try:
         grid = BeatGrid(
             float(data.get("tempo_bpm", 120.0)),
@@ -147,7 +150,7 @@ def parse_track(data: Mapping[str, Any], where: str, folder: Path) -> Track:
         title=data.get("title", data["name"]),
         audio=audio,
         composition=data.get("composition", ""),
-        duration_s=float(data.get("duration_s", float("inf"))),
+        duration_s=duration_s,
         where=where,
     )
 
