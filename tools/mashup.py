@@ -182,17 +182,25 @@ def seeded_set_list(
     while len(entries) < count:
         if not bag:
             bag = [str(n) for n in rng.permutation(names)]
-        name = bag.pop(0)
-        if entries and not _differs(entries[-1], name, tracks) and bag:
-            bag.append(name)
-            continue
+        name = _next_name(bag, names, entries[-1] if entries else None, tracks)
+        if name in bag:
+            bag.remove(name)
         entries.append(_seeded_entry(tracks, recordings[name], section_s, entries, rng))
     return SetList(tuple(entries)), left_out
 
 
-def _differs(last: SetEntry, name: str, tracks: Mapping[str, Track]) -> bool:
-    """Whether a track may follow: another one, with another skill."""
-    return last.track != name and tracks[last.track].default_skill != tracks[name].default_skill
+def _next_name(
+    bag: Sequence[str], names: Sequence[str], last: SetEntry | None, tracks: Mapping[str, Track]
+) -> str:
+    """Return who may follow: best a track not played yet, of another skill; never the same track.
+
+    If all other tracks have the skill of the last one, one of them has to do.
+    """
+    if last is None:
+        return bag[0]
+    others = [name for name in (*bag, *names) if name != last.track]
+    skill = tracks[last.track].default_skill
+    return next((name for name in others if tracks[name].default_skill != skill), others[0])
 
 
 def _seeded_entry(

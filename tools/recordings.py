@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -134,21 +135,26 @@ def assign_skills(
 def write_track(path: Path, track: Track) -> None:
     """Write a track file that `load_tracks` reads."""
     rows = [
-        f'name = "{track.name}"',
-        f'title = "{track.title}"',
-        f'composition = "{track.composition or track.name}"',
+        f"name = {_text(track.name)}",
+        f"title = {_text(track.title)}",
+        f"composition = {_text(track.composition or track.name)}",
         f"duration_s = {track.duration_s!r}",
         f"tempo_bpm = {track.grid.tempo_bpm!r}",
         f"first_beat_s = {track.grid.first_beat_s!r}",
         f"beats_per_bar = {track.grid.beats_per_bar}",
-        f'default_skill = "{track.default_skill}"',
+        f"default_skill = {_text(track.default_skill)}",
     ]
     if track.grid.beat_times_s:
         rows.append(f"beat_times_s = {list(track.grid.beat_times_s)!r}")
     for rule in track.rules:
         rows += ["", "[[section]]", f"start_s = {rule.start_s!r}", f"end_s = {rule.end_s!r}"]
-        rows.append(f'skill = "{rule.skill}"')
+        rows += [f"name = {_text(rule.name)}", f"skill = {_text(rule.skill)}"]
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def _text(value: str) -> str:
+    """Return a TOML string; JSON escapes are a subset of TOML's."""
+    return json.dumps(value, ensure_ascii=False)
 
 
 def build_index(recordings: Mapping[str, Recording], path: Path) -> None:
