@@ -12,6 +12,8 @@ from downbeat.catalog.tracks import Track
 SAME_ANCHOR_US = 80_000
 DOUBT_US = 3_000_000
 """A lock that puts the show elsewhere must hold for this long: music repeats itself."""
+AHEAD_S = 0.6
+"""A phase line is drawn so far ahead; the conductor draws a new one twice a second."""
 SET_TOLERANCE_S = 1.0
 """How far outside its passage a position may lie and still belong to a set entry."""
 
@@ -183,7 +185,8 @@ class Timeline:
         start_s = (span.start_utime - span.track_zero_utime) * 1e-6
         bar = grid.beats_per_bar
         origin = round(grid.beats_at(start_s) / bar) * bar
-        bpm = grid.bpm_at(tau_s)
+        # The straight line over what comes until the next look: live music breathes.
+        bpm = 60.0 * (grid.beats_at(tau_s + AHEAD_S) - grid.beats_at(tau_s)) / AHEAD_S
         octave = tempo_octave(grid.tempo_bpm, skill.tempo_range_bpm)
         beats = octave * (grid.beats_at(tau_s) - origin)
         phase_s = beats * 60.0 / skill.bpm

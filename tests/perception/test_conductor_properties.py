@@ -10,7 +10,7 @@ from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import Rule, Track
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t, skill_request_t
 from downbeat.perception.conductor import RETIME_PERIOD_US, Conductor, ConductorNode
-from downbeat.perception.timeline import Timeline
+from downbeat.perception.timeline import Span, Timeline
 from downbeat.runtime.clock import SimClock
 from downbeat.runtime.memq import MemqHub
 
@@ -194,3 +194,13 @@ def test_end_of_the_sound_is_the_end_of_the_dance():
     for step in range(1, 5):
         node.step(START + step * STEP_US)
     assert [request.skill for request in requests(control)] == ["b", "stand"]
+
+
+@given(st.floats(1.0, 70.0), st.floats(0.0, 0.5))
+def test_phase_line_stays_on_breathing_beats_until_the_next_look(tau_s, later_s):
+    skill = Info(120.0, 8.0)
+    utime = START + round(tau_s * 1e6)
+    line = Timeline(TRACKS).phase(Span("live", "a", START + 2_000_000, START), skill, utime)
+    beats = (line.phase_s + line.rate * later_s) * skill.bpm / 60.0
+    error_beats = (beats - TRACKS["live"].grid.beats_at(tau_s + later_s) + 0.5) % 1.0 - 0.5
+    assert abs(error_beats) * 0.5 < 0.005  # a beat lasts half a second
