@@ -178,8 +178,7 @@ class Timeline:
         skill's range is halved or doubled.
         """
         if skill.bpm <= 0.0:
-            elapsed_s = (utime - span.start_utime) * 1e-6
-            return PhaseFit(utime, max(elapsed_s, 0.0) % skill.duration_s, 1.0)
+            return PhaseFit(utime, 0.0, 1.0)  # a gesture has no beat; it is played from its start
         grid = self._tracks[span.track].grid
         tau_s = (utime - span.track_zero_utime) * 1e-6
         start_s = (span.start_utime - span.track_zero_utime) * 1e-6

@@ -117,7 +117,7 @@ def test_every_phase_line_can_be_danced(events, set_list):
         assert request.start_utime >= now - STEP_US
         assert 0.0 <= request.start_phase_s <= skill.duration_s
         if skill.bpm == 0.0:
-            assert request.phase_rate == 1.0
+            assert (request.start_phase_s, request.phase_rate) == (0.0, 1.0)
         else:
             assert 0.6 <= request.phase_rate <= 1.5
 
