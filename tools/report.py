@@ -55,7 +55,7 @@ def _sections_table(rows: list[dict[str, Any]]) -> Table:
     table.add_column("", no_wrap=True)
     for row in rows:
         table.add_row(
-            f"{row['start_s'] // 60:.0f}:{row['start_s'] % 60:04.1f}",
+            _clock(row["start_s"]),
             _short(row["track"]),
             Text(row["skill"], style="bold"),
             BOUNDARY_WORDS[row["boundary"]],
@@ -69,6 +69,11 @@ def _sections_table(rows: list[dict[str, Any]]) -> Table:
 
 def _short(name: str, length: int = 13) -> str:
     return name if len(name) <= length else f"{name[: length - 1]}\u2026"
+
+
+def _clock(seconds: float) -> str:
+    tenths = round(seconds * 10)
+    return f"{tenths // 600}:{tenths % 600 / 10:04.1f}"
 
 
 def _onset(row: dict[str, Any]) -> Text:
