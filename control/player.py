@@ -33,6 +33,7 @@ class Velocity:
     low: F32
     high: F32
     heading_gain: float
+    heading_filter_s: float
     heading: float | None = None
     target_heading: float | None = None
 
@@ -40,7 +41,7 @@ class Velocity:
         """Move the command one tick towards what is wanted, (3,) vx, vy [m/s], yaw rate [rad/s]."""
         if self.heading is None:
             self.heading = heading
-        blend = TICK_S / 0.5  # low pass of 0.5 s: the torso sways with every step
+        blend = TICK_S / self.heading_filter_s  # the torso sways with every step
         self.heading += blend * wrap(heading - self.heading, 2.0 * np.pi)
         goal = self.wanted.copy()  # (3,)
         turning = abs(float(self.wanted[2])) > 1e-6
@@ -147,6 +148,7 @@ def start_playback(
             low=np.array([command.vx[0], command.vy[0], command.yaw_rate[0]], np.float32),
             high=np.array([command.vx[1], command.vy[1], command.yaw_rate[1]], np.float32),
             heading_gain=command.heading_gain,
+            heading_filter_s=command.heading_filter_s,
         )
     return playback
 

@@ -1,4 +1,4 @@
-"""The channel table: channel -> type, rate, publisher, staleness, logged. The one place where these stand."""
+"""The channel table: channel -> type, rate, publisher, staleness. The one place for these."""
 
 from __future__ import annotations
 
