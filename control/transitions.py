@@ -1,10 +1,11 @@
 """How one skill becomes another: the next hop, as a pure function.
 
 Rules measured in `docs/transitions_measured.md`, and through this code by
-`python -m downbeat.sim.control_trials` (0 falls in 240 changes out of footwork at any beat). Planted skills (both feet stay) cross-fade at any
-phase; footwork is entered at its phase 0 and left at its exit phases; everything else goes through
-the stand skill. The planner only ever answers "which hop next, and when does it start": a route
-through stand emerges because, once in stand, the same question is asked again.
+`python -m downbeat.sim.control_trials` (0 falls in 240 changes out of footwork at any beat).
+Planted skills (both feet stay) cross-fade at any phase; footwork is entered at its phase 0 and left
+at its exit phases; everything else goes through the stand skill. The planner only ever answers
+"which hop next, and when does it start": a route through stand emerges because, once in stand, the
+same question is asked again.
 """
 
 from __future__ import annotations
