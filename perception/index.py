@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,13 +16,21 @@ from downbeat.perception import features as ft
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 
-FORMAT = "downbeat-alignment-index-1"
+FORMAT = "downbeat-alignment-index-2"
 PAD_FRAMES = 16
 """Zero frames (of 40 ms) around a track, so that a window may hang over its ends."""
 QUANTUM = 127.0 / 3.0
 """int8 scale of features, which lie in -1.5 .. 3."""
 COARSE_FRAMES, COARSE_BANDS = 2, 3
 """Averaged for the coarse scan: 160 ms, 1/8 octave."""
+MIN_TRACK_S = 2.0
+SILENT_PEAK = 1e-3
+DECOY_PLACES = 3_000
+"""Eight minutes of what is not in the catalogue, so that a small one knows chance from likeness."""
+DECOY_SHIFT, DECOY_STEP = 10, 7
+"""Bands by which decoys are transposed; 24 are an octave, which would be too like the original."""
+
+Fine = npt.NDArray[np.int8]
 
 
 def coarse(values: F32) -> F32:
@@ -32,6 +42,28 @@ def coarse(values: F32) -> F32:
     return cells.mean((1, 3), dtype=np.float32)
 
 
+def coarse_of_fine(fine: Fine) -> F32:
+    """Return the coarse features of a track, (n // 4, 49)."""
+    return coarse(fine[::2].astype(np.float32) / np.float32(QUANTUM))
+
+
+def make_decoys(tracks: Sequence[Fine]) -> list[Fine]:
+    """Return the tracks backwards and transposed, again and again, until there are enough places.
+
+    They sound like the catalogue and are not in it: what a query reaches there is chance.
+    """
+    decoys: list[Fine] = []
+    places = 0
+    while places < DECOY_PLACES:
+        number = len(decoys)
+        turn = number // len(tracks)
+        shift = (DECOY_SHIFT + DECOY_STEP * turn) % ft.NUM_BANDS
+        source = tracks[number % len(tracks)]
+        decoys.append(np.ascontiguousarray(np.roll(source[::-1], shift, axis=1)))
+        places += len(source) // (2 * COARSE_FRAMES)
+    return decoys
+
+
 @dataclass
 class Index:
     """Reference features.
@@ -39,12 +71,10 @@ class Index:
     Attributes:
         names: Track names.
         fine: Per track (n, NUM_BANDS) int8, one frame every 40 ms, padded.
-        coarse: Per track (n // 4, 49) float32, one frame every 160 ms.
     """
 
     names: list[str] = field(default_factory=list)
-    fine: list[npt.NDArray[np.int8]] = field(default_factory=list)
-    coarse: list[F32] = field(default_factory=list)
+    fine: list[Fine] = field(default_factory=list)
 
     def add(self, name: str, samples: F32, sample_rate_hz: int) -> None:
         """Index one track.
@@ -55,9 +85,10 @@ class Index:
         if name in self.names:
             raise PerceptionError(f"Track '{name}' is indexed already; names must be unique.")
         sound = ft.to_matcher_rate(samples, sample_rate_hz)
-        if len(sound) < 2 * ft.SAMPLE_RATE_HZ or float(np.abs(sound).max()) < 1e-3:
+        peak = float(np.abs(sound).max()) if len(sound) else 0.0
+        if len(sound) < MIN_TRACK_S * ft.SAMPLE_RATE_HZ or not peak >= SILENT_PEAK:
             raise PerceptionError(
-                f"Track '{name}' cannot be indexed: it is silent or shorter than 2 s."
+                f"Track '{name}' cannot be indexed: it is silent or shorter than {MIN_TRACK_S:g} s."
             )
         even, odd = ft.features(sound), ft.features(sound[ft.HOP // 2 :])
         frames = len(odd)
@@ -67,19 +98,21 @@ class Index:
         both = np.pad(both, ((PAD_FRAMES, tail), (0, 0)))
         self.names.append(name)
         self.fine.append(np.round(both * QUANTUM).astype(np.int8))
-        self.coarse.append(coarse(both[::2]))
+
+    def subset(self, numbers: Sequence[int]) -> Index:
+        """Return an index of some of the tracks, sharing their arrays."""
+        return Index([self.names[i] for i in numbers], [self.fine[i] for i in numbers])
 
     def digest(self) -> str:
         """Return a hash of the content."""
         state = hashlib.sha256(FORMAT.encode())
         for name, fine in zip(self.names, self.fine):
-            state.update(name.encode() + b"\0" + fine.tobytes())
+            state.update(f"{name}\0{fine.shape}".encode() + fine.tobytes())
         return state.hexdigest()
 
     def save(self, path: Path) -> None:
         """Write the index as .npz."""
         arrays = {f"fine_{i}": fine for i, fine in enumerate(self.fine)}
-        arrays |= {f"coarse_{i}": values for i, values in enumerate(self.coarse)}
         header = np.array([FORMAT, self.digest(), *self.names])
         with path.open("wb") as file:
             np.savez_compressed(file, header=header, **arrays)
@@ -89,25 +122,22 @@ class Index:
         """Read an index.
 
         Raises:
-            PerceptionError: The file is missing, foreign or damaged.
+            PerceptionError: The file is missing, foreign, of another version or damaged.
         """
+        remedy = "`downbeat catalog build` makes one"
         if not path.is_file():
-            raise PerceptionError(
-                f"Index {path} does not exist; `downbeat catalog build` makes one."
-            )
+            raise PerceptionError(f"Index {path} does not exist; {remedy}.")
         try:
             with np.load(path, allow_pickle=False) as data:
                 head = [str(entry) for entry in data["header"]]
-                count = len(head) - 2
-                index = cls(
-                    head[2:],
-                    [data[f"fine_{i}"] for i in range(count)],
-                    [data[f"coarse_{i}"] for i in range(count)],
-                )
-        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
-            raise PerceptionError(
-                f"{path} is not an index of this version; `downbeat catalog build` makes one."
-            ) from error
-        if head[0] != FORMAT or head[1] != index.digest():
-            raise PerceptionError(f"{path} is damaged; `downbeat catalog build` makes it again.")
+                if head[0] != FORMAT:
+                    raise PerceptionError(f"{path} is not a {FORMAT}; {remedy}.")
+                index = cls(head[2:], [data[f"fine_{i}"] for i in range(len(head) - 2)])
+        except (
+            ValueError, KeyError, IndexError, TypeError, OSError, EOFError,
+            zipfile.BadZipFile, zlib.error, NotImplementedError,
+        ) as error:  # fmt: skip
+            raise PerceptionError(f"{path} is not a {FORMAT}, or is damaged; {remedy}.") from error
+        if head[1] != index.digest():
+            raise PerceptionError(f"{path} is damaged; {remedy}.")
         return index

@@ -108,9 +108,10 @@ class ListenerNode:
         label = self._router.label(recent, rms_dbfs)
         before = self._tracker.state
         after = self._tracker.update(self._ring, now, rms_dbfs > PAUSE_DBFS)
-        self._publish_class(utime, now, label, rms_dbfs, len(recent))
+        start = now - round(len(recent) / self._source.sample_rate_hz * 1e6)
+        self._publish_class(utime, start, now, label, rms_dbfs)
         if label == audio_class_t.MUSIC or after.lock != before.lock:
-            self._publish_match(utime, now, after)
+            self._publish_match(utime, start, now, after)
 
     def _publish_source(self, state: int, utime: int) -> None:
         msg: Any = audio_source_t()
@@ -122,32 +123,32 @@ class ListenerNode:
         msg.name = self._source.recording.name
         self._bus.publish("AUDIO_SOURCE", msg)
 
-    def _publish_class(self, utime: int, now: int, label: int, rms_dbfs: float, count: int) -> None:
+    def _publish_class(self, utime: int, start: int, now: int, label: int, rms_dbfs: float) -> None:
         msg: Any = audio_class_t()
         msg.header.utime = utime
         msg.window_end_utime = now
-        msg.window_start_utime = now - round(count / self._source.sample_rate_hz * 1e6)
+        msg.window_start_utime = start
         msg.label = label
         msg.p_music = msg.p_speech = msg.v_frac = math.nan
         msg.rms_dbfs = rms_dbfs
         msg.model = self._router.name
         self._bus.publish("AUDIO_CLASS", msg)
 
-    def _publish_match(self, utime: int, now: int, state: TrackState) -> None:
+    def _publish_match(self, utime: int, start: int, now: int, state: TrackState) -> None:
         msg: Any = music_match_t()
         msg.header.utime = utime
         msg.lock = int(state.lock)
         msg.similarity = state.similarity
-        msg.rate = 1.0
+        msg.rate = state.rate
         msg.tau_std_s = math.nan
         msg.next_boundary_s = math.nan
-        if state.lock != Lock.LOST:
+        if state.place is not None:
             msg.method = music_match_t.FINGERPRINT
             msg.accepted = state.lock == Lock.LOCKED
             msg.track = state.track
             msg.track_zero_utime = state.track_zero_utime
-            msg.tau_s = (now - state.track_zero_utime) * 1e-6
-            boundary = self._next_boundary_s(state.track, msg.tau_s)
+            msg.tau_s = state.place.at(start)
+            boundary = self._next_boundary_s(state.track, state.place.at(now))
             msg.next_boundary_s = math.nan if boundary is None else boundary
         if state.result is not None:
             msg.confidence = state.result.confidence

@@ -1,15 +1,14 @@
 """From windows to a lock: which track plays, where it stands, and when it stopped to.
 
 While locked, every hop checks the last second against the place where the track must be: cheap, and
-it notices a cut within half a second. Then windows that lie after the change are searched, as soon
-as they are long enough. A place that a longer window contradicts twice is corrected (music repeats
-itself).
+it notices a cut within half a second. Then the sound after the change is searched, hop by hop in a
+longer window, until one stands high enough. While a lock is young, longer windows may move it to
+another repeat of the passage. What slips steadily is played at another speed.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from downbeat.perception.matcher import MatchResult, MusicMatcher
@@ -18,15 +17,21 @@ from downbeat.perception.source import Ring
 CHECK_S = 1.0
 HOLD_SIMILARITY = 0.30
 """A second of the right place correlates by 0.5 to 0.95, of a wrong one by 0.1."""
-HOLD_FRACTION = 0.6
+HOLD_SHARE = 0.6
 """Or a fall to this share of what the lock has been used to."""
 DROP_AFTER_HOPS = 3
-SEARCH_LENGTHS_S = (1.25, 2.0, 3.0, 5.0)
-LOOK_BACK_S = 0.2
-"""The search window begins this much before the last good check: half of a check may be new."""
+SHORTEST_S, LONGEST_S = 1.0, 5.0
+LOST_LENGTHS_S = (1.25, 2.0, 3.0, 5.0)
+LOOK_BACK_S = 0.25
+"""A search begins this much before the last good check: some of that check may have been new."""
 COAST_US = 3_000_000
-SAME_PLACE_US = 80_000
-CORRECTION_GAIN = 0.2
+SAME_PLACE_S = 0.08
+POSITION_GAIN, RATE_GAIN = 0.25, 0.015
+"""A loop of second order, critically damped: it averages over about eight hops."""
+USUAL_GAIN = 0.2
+RATE_EVIDENCE = 0.004
+"""Below this the speed is taken for nominal: a loop's noise is no change of speed."""
+MAX_RATE_OFF = 0.05
 CONFIRM_S = 8.0
 """For this long after a lock, longer windows may still move it to another repeat."""
 BETTER_SIMILARITY = 0.03
@@ -41,22 +46,77 @@ class Lock(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Place:
+    """A moving place in a track.
+
+    Attributes:
+        track: Name.
+        tau_s: Position [s] at `utime`.
+        utime: [us].
+        rate: Track seconds per real second, as estimated.
+    """
+
+    track: str
+    tau_s: float
+    utime: int
+    rate: float = 1.0
+
+    @property
+    def used_rate(self) -> float:
+        """The rate, nominal unless there is evidence against it."""
+        return self.rate if abs(self.rate - 1.0) > RATE_EVIDENCE else 1.0
+
+    def at(self, utime: int) -> float:
+        """Return the position at a time [s]."""
+        return self.tau_s + (utime - self.utime) * 1e-6 * self.used_rate
+
+    def is_near(self, other: Place) -> bool:
+        """Whether both are the same place."""
+        if self.track != other.track:
+            return False
+        return abs(self.at(other.utime) - other.tau_s) < SAME_PLACE_S
+
+    def corrected(self, correction_s: float, utime: int, elapsed_s: float) -> Place:
+        """Return the place moved by a share of what a check said, at the check's time."""
+        rate = self.rate
+        if elapsed_s > 0.0:
+            rate += RATE_GAIN * correction_s / elapsed_s
+        rate = min(max(rate, 1.0 - MAX_RATE_OFF), 1.0 + MAX_RATE_OFF)
+        return Place(self.track, self.at(utime) + POSITION_GAIN * correction_s, utime, rate)
+
+
+@dataclass(frozen=True, slots=True)
 class TrackState:
     """What the tracker believes.
 
     Attributes:
         lock: LOST, CANDIDATE or LOCKED.
-        track: Track name, empty when lost.
-        track_zero_utime: When the track was at 0 s [us].
+        place: Where the track is, None when lost.
         similarity: Of the last check.
         result: The last search, None if this hop needed none.
     """
 
     lock: Lock = Lock.LOST
-    track: str = ""
-    track_zero_utime: int = 0
+    place: Place | None = None
     similarity: float = 0.0
     result: MatchResult | None = None
+
+    @property
+    def track(self) -> str:
+        """Track name, empty when lost."""
+        return "" if self.place is None else self.place.track
+
+    @property
+    def rate(self) -> float:
+        """Track seconds per real second; 1 unless there is evidence."""
+        return 1.0 if self.place is None else self.place.used_rate
+
+    @property
+    def track_zero_utime(self) -> int:
+        """When the track was at 0 s, at `rate` [us]; 0 when lost."""
+        if self.place is None:
+            return 0
+        return self.place.utime - round(self.place.tau_s / self.rate * 1e6)
 
 
 class Tracker:
@@ -69,7 +129,7 @@ class Tracker:
         self._bad_hops = 0
         self._usual = 0.0
         self._locked_since_utime = 0
-        self._doubt_zero_utime: int | None = None
+        self._doubt: Place | None = None
 
     def update(self, ring: Ring, now: int, audible: bool) -> TrackState:
         """Judge the newest sound.
@@ -79,113 +139,104 @@ class Tracker:
             now: Time of its last sample [us].
             audible: False during silence.
         """
-        if self.state.lock == Lock.LOST:
+        place = self.state.place
+        if place is None:
             self.state = self._search(ring, now) if audible else TrackState()
-        else:
-            self.state = self._check(ring, now) if audible else self._coast(now)
+        elif audible:
+            self.state = self._check(ring, now, place)
+        elif now - self._last_good_utime > COAST_US:
+            self.state = TrackState()
+        else:  # a pause speaks neither for nor against the lock
+            self.state = replace(self.state, result=None)
         return self.state
-
-    def _coast(self, now: int) -> TrackState:
-        """During a pause nothing speaks for or against the lock; it is kept for a while."""
-        state = self.state
-        if now - self._last_good_utime > COAST_US:
-            return TrackState()
-        return TrackState(state.lock, state.track, state.track_zero_utime, state.similarity)
 
     # ------------------------------------------------------------------ locked
 
-    def _check(self, ring: Ring, now: int) -> TrackState:
-        state = self.state
-        window = ring.last(CHECK_S)
-        start = now - round(len(window) / ring.sample_rate_hz * 1e6)
-        tau_s = (start - state.track_zero_utime) * 1e-6
-        similarity, correction_s = self._matcher.agreement(
-            window, ring.sample_rate_hz, state.track, tau_s
-        )
-        if similarity >= max(HOLD_SIMILARITY, HOLD_FRACTION * self._usual):
+    def _check(self, ring: Ring, now: int, place: Place) -> TrackState:
+        similarity, correction_s = self._compare(ring, now, place, CHECK_S)
+        if similarity >= max(HOLD_SIMILARITY, HOLD_SHARE * self._usual):
+            elapsed_s = (now - self._last_good_utime) * 1e-6
             self._bad_hops = 0
             self._last_good_utime = now
-            self._usual += 0.2 * (similarity - self._usual)
-            zero = state.track_zero_utime - round(CORRECTION_GAIN * correction_s * 1e6)
-            held = TrackState(Lock.LOCKED, state.track, zero, similarity)
-            return self._confirm(ring, now, held)
+            self._usual += USUAL_GAIN * (similarity - self._usual)
+            held = place.corrected(correction_s, now, elapsed_s)
+            return self._confirm(ring, now, TrackState(Lock.LOCKED, held, similarity))
         self._bad_hops += 1
-        found = self._search_after_change(ring, now)
+        found = self._search_after_change(ring, now, place)
         if found is not None:
             return found
         if self._bad_hops >= DROP_AFTER_HOPS:
             if similarity < HOLD_SIMILARITY:
                 return TrackState(similarity=similarity)
             self._usual = similarity  # quieter or noisier than before, but still this place
-        return TrackState(Lock.CANDIDATE, state.track, state.track_zero_utime, similarity)
+        return TrackState(Lock.CANDIDATE, place, similarity)
 
-    def _search_after_change(self, ring: Ring, now: int) -> TrackState | None:
+    def _compare(self, ring: Ring, now: int, place: Place, seconds: float) -> tuple[float, float]:
+        """Return (similarity, correction [s]) of the newest sound against a place."""
+        window = ring.last(seconds)
+        half_s = 0.5 * len(window) / ring.sample_rate_hz
+        start_s = place.at(now - round(half_s * 1e6)) - half_s
+        return self._matcher.agreement(window, ring.sample_rate_hz, place.track, start_s)
+
+    def _search_after_change(self, ring: Ring, now: int, place: Place) -> TrackState | None:
         """Search the sound since the last good check; None while it is too short or unclear."""
-        seconds = (now - self._last_good_utime) * 1e-6 + LOOK_BACK_S
-        if seconds < SEARCH_LENGTHS_S[0] or ring.seconds < SEARCH_LENGTHS_S[0]:
+        seconds = self._fresh_s(ring, now)
+        if seconds < SHORTEST_S:
             return None
-        result, zero = self._query(ring, now, min(seconds, SEARCH_LENGTHS_S[-1]))
-        if not result.accepted or self._is_here(result, zero):
-            return None  # the old place fits the whole window, but its last second did not
-        return self._lock_on(result, zero, now)
-
-    def _is_here(self, result: MatchResult, zero: int) -> bool:
-        near = abs(zero - self.state.track_zero_utime) < SAME_PLACE_US
-        return near and result.track == self.state.track
+        result, found = self._query(ring, now, min(seconds, LONGEST_S))
+        if not result.accepted or place.is_near(found):
+            return None  # the old place may fit the whole window, but not its last second
+        return self._lock_on(result, found, now)
 
     def _confirm(self, ring: Ring, now: int, held: TrackState) -> TrackState:
         """Ask a longer window, while the lock is young, whether another repeat fits better."""
         age_s = (now - self._locked_since_utime) * 1e-6
-        seconds = min(age_s + SEARCH_LENGTHS_S[0], SEARCH_LENGTHS_S[-1])
-        if age_s > CONFIRM_S or ring.seconds < seconds:
+        seconds = min(age_s + SHORTEST_S, LONGEST_S)
+        if held.place is None or age_s > CONFIRM_S or ring.seconds < seconds:
             return held
-        result, zero = self._query(ring, now, seconds)
-        moved = abs(zero - held.track_zero_utime) > SAME_PLACE_US
-        if not result.accepted or result.track != held.track or not moved:
-            self._doubt_zero_utime = None
+        result, found = self._query(ring, now, seconds)
+        doubt, self._doubt = self._doubt, None
+        if not result.accepted or found.track != held.track or held.place.is_near(found):
             return held
-        window = ring.last(seconds)
-        tau_s = (now - held.track_zero_utime) * 1e-6 - len(window) / ring.sample_rate_hz
-        own, _ = self._matcher.agreement(window, ring.sample_rate_hz, held.track, tau_s)
+        own, _ = self._compare(ring, now, held.place, seconds)
         if result.similarity < own + BETTER_SIMILARITY:
-            self._doubt_zero_utime = None
             return held
-        doubt, self._doubt_zero_utime = self._doubt_zero_utime, zero
-        if doubt is None or abs(doubt - zero) > SAME_PLACE_US:
-            return held
-        return self._lock_on(result, zero, now)
+        if doubt is not None and doubt.is_near(found):  # twice the same: believe it
+            return self._lock_on(result, found, now)
+        self._doubt = found
+        return held
 
     # ------------------------------------------------------------------ lost
 
     def _search(self, ring: Ring, now: int) -> TrackState:
-        # Sound from before the change belongs to another track.
-        fresh_s = (now - self._last_good_utime) * 1e-6 + LOOK_BACK_S
-        for seconds in SEARCH_LENGTHS_S:
-            if min(ring.seconds, fresh_s) < seconds:
-                break
-            result, zero = self._query(ring, now, seconds)
+        """Search windows of all lengths that hold nothing from before the change."""
+        fresh_s = self._fresh_s(ring, now)
+        lengths = [s for s in LOST_LENGTHS_S if s <= fresh_s]
+        if not lengths and fresh_s >= SHORTEST_S:
+            lengths = [fresh_s]
+        for seconds in lengths:
+            result, found = self._query(ring, now, seconds)
             if result.accepted:
-                return self._lock_on(result, zero, now)
+                return self._lock_on(result, found, now)
         return TrackState()
 
-    def _query(self, ring: Ring, now: int, seconds: float) -> tuple[MatchResult, int]:
+    def _fresh_s(self, ring: Ring, now: int) -> float:
+        """Return how much sound there is that the last lock did not explain [s]."""
+        return min(ring.seconds, (now - self._last_good_utime) * 1e-6 + LOOK_BACK_S)
+
+    def _query(self, ring: Ring, now: int, seconds: float) -> tuple[MatchResult, Place]:
+        """Search a window; the place is that of its middle, which the rate does not move."""
         window = ring.last(seconds)
         result = self._matcher.query(window, ring.sample_rate_hz)
-        start = now - round(len(window) / ring.sample_rate_hz * 1e6)
-        return result, start - round(result.tau_s / result.rate * 1e6)
+        half_s = 0.5 * len(window) / ring.sample_rate_hz
+        middle_s = result.tau_s + result.rate * half_s
+        return result, Place(result.track, middle_s, now - round(half_s * 1e6))
 
-    def _lock_on(self, result: MatchResult, zero: int, now: int) -> TrackState:
-        if not self._is_here(result, zero):
-            self._locked_since_utime = now
+    def _lock_on(self, result: MatchResult, found: Place, now: int) -> TrackState:
+        self._locked_since_utime = now
         self._last_good_utime = now
         self._bad_hops = 0
         self._usual = result.similarity
-        self._doubt_zero_utime = None
-        return TrackState(Lock.LOCKED, result.track, zero, result.similarity, result)
-
-    @property
-    def age_s(self) -> float:
-        """Seconds since the lock was taken, NaN when lost."""
-        if self.state.lock == Lock.LOST:
-            return math.nan
-        return (self._last_good_utime - self._locked_since_utime) * 1e-6
+        self._doubt = None
+        place = replace(found, tau_s=found.at(now), utime=now)
+        return TrackState(Lock.LOCKED, place, result.similarity, result)

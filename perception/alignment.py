@@ -1,0 +1,203 @@
+"""The two stages of the search: a coarse scan of everything, a fine alignment of the best places.
+
+Coarse: normalised correlation of the query with every place (160 ms, 1/8 octave). One product of
+matrices per block; the sum along its diagonals is the correlation at each place.
+Fine: one Gram matrix query x reference; every (offset, rate) hypothesis is a line through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from downbeat.perception import features as ft
+from downbeat.perception.features import F32
+from downbeat.perception.index import PAD_FRAMES, QUANTUM
+
+I64 = npt.NDArray[np.int64]
+FINE_S = ft.HOP_S / 2.0
+"""40 ms: the grid of the reference."""
+FINE_PER_COARSE = 4
+RATES = (1.0, 0.99, 1.01, 0.98, 1.02, 0.97, 1.03, 0.96, 1.04, 0.95, 1.05)
+"""Time stretch; 1 first, so that ties go to it."""
+BLOCK = 4096
+"""Places per product: the block and its products stay in the cache of the processor."""
+QUIET_SHARE = 0.25
+"""A quiet reference counts as this share of the usual: chance likeness must not be blown up."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Fit:
+    """How well a query fits one place, best last in sorting order.
+
+    Attributes:
+        similarity: Normalised correlation, -1..1.
+        track: Number of the track; decoys come after the tracks.
+        tau_s: Position of the window's start [s].
+        rate: Track seconds per real second.
+        information: Mean square of the reference there.
+    """
+
+    similarity: float
+    track: int
+    tau_s: float
+    rate: float
+    information: float = field(default=0.0, compare=False)
+
+
+class CoarseScan:
+    """All places of all tracks, ready to be compared with a query."""
+
+    def __init__(self, tracks: Sequence[F32]) -> None:
+        """Take the coarse features of each track, (n_i, 49)."""
+        lengths = np.array([len(values) for values in tracks])
+        everything = np.concatenate(tracks).astype(np.float32)  # (n, 49)
+        self.starts: I64 = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+        self.track_of: I64 = np.repeat(np.arange(len(lengths)), lengths)  # (n,)
+        self._ends = (self.starts + lengths)[self.track_of]  # (n,)
+        power = (everything.astype(np.float64) ** 2).sum(1)
+        self._energy = np.concatenate([[0.0], np.cumsum(power)])
+        self._transposed = np.ascontiguousarray(everything.T)  # (49, n)
+
+    def scores(self, query: F32) -> tuple[F32, float]:
+        """Compare a query with every place.
+
+        Args:
+            query: (w, 49) coarse features.
+
+        Returns:
+            Normalised correlation, (n,), 0 where the window would leave its track; and its standard
+            deviation over the places where it does not: how much chance there is.
+        """
+        width, total = len(query), self._transposed.shape[1]
+        scores = np.zeros(total, np.float32)
+        for first in range(0, total, BLOCK):
+            stop = min(first + BLOCK, total)
+            products = query @ self._transposed[:, first : stop + width]  # (w, block + w)
+            own = scores[first:stop]
+            for row in range(width):  # along the diagonals
+                part = products[row, row : row + len(own)]
+                own[: len(part)] += part
+        places = np.arange(total)
+        energy = self._energy[np.minimum(places + width, total)] - self._energy[:-1]
+        floor = QUIET_SHARE * float(np.median(energy)) + 1e-9
+        scores /= np.sqrt(np.maximum(energy, floor) * (float((query**2).sum()) + 1e-9))
+        inside = places + width <= self._ends
+        scores[~inside] = 0.0
+        valid = scores[inside]
+        return scores, float(valid[::FINE_PER_COARSE].std()) if len(valid) else 1.0
+
+
+class FineAligner:
+    """Aligns a query with one track around a place."""
+
+    def __init__(self, fine: Sequence[npt.NDArray[np.int8]]) -> None:
+        """Take the fine features of each track, (n_i, NUM_BANDS)."""
+        self._fine = fine
+        # Half: the reference has two frames where the query has one.
+        self._energy = [
+            np.concatenate([[0.0], np.cumsum((f.astype(np.float64) ** 2).sum(1))]) / 2.0
+            for f in fine
+        ]
+
+    def align(
+        self,
+        values: F32,
+        energy: float,
+        track: int,
+        first: int,
+        search: int,
+        rates: tuple[float, ...] = RATES,
+    ) -> Fit:
+        """Find the best offset and rate of a query near a place.
+
+        Args:
+            values: (w, NUM_BANDS) features of the query.
+            energy: Sum of their squares.
+            track: Number of the track.
+            first: Frame of the reference (40 ms) at which the query may start.
+            search: Frames around it to try.
+            rates: Rates to try.
+        """
+        frames = len(values)
+        columns, margin = _lines(frames, search, rates)
+        reference = self._reference(track, first - margin, 2 * frames + 2 * margin)
+        gram = values @ reference.T  # (w, length)
+        scores = np.take(gram.ravel(), columns).sum(-1)  # (rates, offsets)
+        r, d = np.unravel_index(int(scores.argmax()), scores.shape)
+        reference_energy = self._energy_at(track, first, frames)
+        usual = self._energy[track][-1] / len(self._fine[track]) * 2 * frames
+        norm = max(reference_energy, QUIET_SHARE * usual, 1.0) * max(energy, 1e-9)
+        similarity = min(float(scores[r, d]) / float(np.sqrt(norm)), 1.0)
+        rate = rates[int(r)]
+        # The line turns about the middle of the window; at another rate the start moves.
+        turned = (frames - 1) * (1.0 - rate)
+        start = first + int(d) - search + vertex(scores[r], int(d)) + turned - PAD_FRAMES
+        information = reference_energy / (frames * ft.NUM_BANDS * QUANTUM**2)
+        return Fit(similarity, track, start * FINE_S, rate, information)
+
+    def _reference(self, track: int, begin: int, length: int) -> F32:
+        """Return `length` frames from `begin`, zeros beyond the ends, (length, NUM_BANDS)."""
+        fine = self._fine[track]
+        reference = np.zeros((length, ft.NUM_BANDS), np.float32)
+        low, high = max(begin, 0), min(begin + length, len(fine))
+        if high > low:
+            reference[low - begin : high - begin] = fine[low:high]
+        return reference
+
+    def _energy_at(self, track: int, first: int, frames: int) -> float:
+        energy = self._energy[track]
+        low = min(max(first, 0), len(energy) - 1)
+        return float(energy[min(low + 2 * frames, len(energy) - 1)] - energy[low])
+
+
+@lru_cache(maxsize=64)
+def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, int]:
+    """Return the lines through the Gram matrix as flat places in it, and its margin.
+
+    Returns:
+        (rates, offsets, frames) indices into the flattened (frames, 2 frames + 2 margin) matrix.
+    """
+    centre = (frames - 1) / 2.0
+    steepest = max(abs(rate - 1.0) for rate in rates)
+    margin = int(np.ceil(2.0 * centre * steepest)) + search + 2
+    rows = np.arange(frames)
+    lines = np.round(2.0 * (centre + np.outer(rates, rows - centre))).astype(np.int64)
+    offsets = np.arange(-search, search + 1)
+    columns = lines[:, None, :] + margin + offsets[None, :, None]
+    return rows * (2 * frames + 2 * margin) + columns, margin
+
+
+def vertex(scores: F32, peak: int) -> float:
+    """Return where the parabola through a peak and its neighbours stands, in places off it."""
+    if not 0 < peak < len(scores) - 1:
+        return 0.0
+    left, middle, right = (float(s) for s in scores[peak - 1 : peak + 2])
+    curvature = left - 2.0 * middle + right
+    return 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0
+
+
+def best_places(scores: F32, count: int) -> I64:
+    """Return the places of the `count` highest scores, best first."""
+    count = min(count, len(scores))
+    best = np.argpartition(scores, len(scores) - count)[len(scores) - count :]
+    return best[np.argsort(-scores[best], kind="stable")]
+
+
+def spread_out(ranked: I64, track_of: I64, count: int, per_track: int) -> I64:
+    """Return the first `count` places, at most `per_track` of a track, no two adjacent."""
+    kept: list[int] = []
+    used: dict[int, int] = {}
+    for place in ranked.tolist():
+        track = int(track_of[place])
+        if used.get(track, 0) >= per_track or any(abs(place - k) <= 1 for k in kept):
+            continue
+        kept.append(place)
+        used[track] = used.get(track, 0) + 1
+        if len(kept) == count:
+            break
+    return np.array(kept, np.int64)

@@ -1,0 +1,97 @@
+"""What a room, a microphone and other people do to music: conditions of the matcher's bench.
+
+The conditions of the project's chunk study: white noise, and a robot's microphone (reverberation,
+voices, pink noise, a narrow band, low level). Deterministic by the generator handed in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.signal import butter, fftconvolve, sosfilt
+
+from downbeat.perception.features import F32
+
+Condition = Callable[[F32, int, np.random.Generator], F32]
+"""(samples, sample rate [Hz], generator) -> samples of the same length."""
+
+REVERB_RT60_S = 0.5
+BABBLE_SNR_DB = PINK_SNR_DB = 10.0
+BAND_HZ = (120.0, 7200.0)
+MICROPHONE_GAIN_DB = -10.0
+BLOCK_S = 7.5
+"""A signal-to-noise ratio holds for each block of this length, as in the chunk study."""
+
+
+def add_noise(samples: F32, noise: F32, snr_db: float, sample_rate_hz: int) -> F32:
+    """Add noise at a ratio to the level of each block."""
+    block = round(BLOCK_S * sample_rate_hz)
+    out = samples.copy()
+    for first in range(0, len(samples), block):
+        part = slice(first, first + block)
+        gain = _rms(samples[part]) / _rms(noise[part]) * 10.0 ** (-snr_db / 20.0)
+        out[part] += noise[part] * np.float32(gain)
+    return out
+
+
+def white_noise(snr_db: float) -> Condition:
+    """Return the condition "white noise at this ratio"."""
+
+    def apply(samples: F32, sample_rate_hz: int, rng: np.random.Generator) -> F32:
+        noise = rng.standard_normal(len(samples)).astype(np.float32)
+        return add_noise(samples, noise, snr_db, sample_rate_hz)
+
+    return apply
+
+
+def robot_microphone(babble: F32) -> Condition:
+    """Return the condition "heard by a robot in a room with people".
+
+    Args:
+        babble: Voices at any level, repeated as needed; at the rate of the sound.
+    """
+
+    def apply(samples: F32, sample_rate_hz: int, rng: np.random.Generator) -> F32:
+        room = _room(REVERB_RT60_S, sample_rate_hz, rng)
+        sound = fftconvolve(samples, room)[: len(samples)].astype(np.float32)
+        voices = np.resize(np.roll(babble, -int(rng.integers(len(babble)))), len(sound))
+        sound = add_noise(sound, voices, BABBLE_SNR_DB, sample_rate_hz)
+        sound = add_noise(sound, pink_noise(len(sound), rng), PINK_SNR_DB, sample_rate_hz)
+        band = butter(4, BAND_HZ, "bandpass", fs=sample_rate_hz, output="sos")
+        return (sosfilt(band, sound) * 10.0 ** (MICROPHONE_GAIN_DB / 20.0)).astype(np.float32)
+
+    return apply
+
+
+def make_babble(voices: list[F32], seconds: float, sample_rate_hz: int) -> F32:
+    """Return several voices at once, each of the same level, (n,)."""
+    count = round(seconds * sample_rate_hz)
+    rng = np.random.default_rng(7)
+    babble = np.zeros(count, np.float32)
+    for voice in voices + voices:
+        turned = np.roll(voice, int(rng.integers(len(voice))))
+        babble += np.resize(turned, count) / np.float32(_rms(voice))
+    return babble
+
+
+def pink_noise(count: int, rng: np.random.Generator) -> F32:
+    """Return noise with equal power per octave, (count,)."""
+    bins = np.maximum(np.arange(count // 2 + 1), 20.0)
+    spectrum = (rng.standard_normal(len(bins)) + 1j * rng.standard_normal(len(bins))) / bins**0.5
+    return np.fft.irfft(spectrum, count).astype(np.float32)
+
+
+def _room(rt60_s: float, sample_rate_hz: int, rng: np.random.Generator) -> F32:
+    """Return a synthetic impulse response; direct and diffuse sound are equally loud."""
+    count = round(1.2 * rt60_s * sample_rate_hz)
+    decay = np.exp(-6.908 * np.arange(count) / sample_rate_hz / rt60_s)
+    tail = rng.standard_normal(count) * decay
+    tail[: round(0.002 * sample_rate_hz)] = 0.0
+    tail /= np.sqrt((tail**2).sum())
+    tail[0] = 1.0
+    return tail.astype(np.float32)
+
+
+def _rms(samples: F32) -> float:
+    return float(np.sqrt(np.mean(samples.astype(np.float64) ** 2)) + 1e-12)
