@@ -71,6 +71,7 @@ class Driver:
             low=np.array([limits.vx[0], limits.vy[0], limits.yaw_rate[0]], np.float32),
             high=np.array([limits.vx[1], limits.vy[1], limits.yaw_rate[1]], np.float32),
             heading_gain=limits.heading_gain,
+            heading_filter_s=limits.heading_filter_s,
         )
 
     def steer(self, heading: float) -> F32:

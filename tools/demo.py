@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from pathlib import Path
 
 from downbeat.catalog.setlist import SetEntry, SetList
@@ -19,6 +19,8 @@ from downbeat.tools.mashup import build_mashup
 from downbeat.tools.recordings import INDEX_NAME, Library, build_index, write_track
 from downbeat.tools.rundir import CACHE_DIR, new_run_dir
 
+FAVOUR_S = 2.0
+"""[s] off the middle that footwork in a passage is worth."""
 ORDER = ("neon_parade", "salsa_del_puerto", "midnight_bones", "tide_runner")
 
 
@@ -33,7 +35,8 @@ def run_demo(args: Demo) -> int:
         )
     run_dir = new_run_dir(args.runs)
     library = bundled_library(tracks, run_dir / "catalog")
-    set_list = demo_set_list(tracks, args.section_seconds)
+    footwork = {n for n, m in load_skills().items() if m.kind == "stepping"}
+    set_list = demo_set_list(tracks, args.section_seconds, footwork)
     mashup = build_mashup(set_list, tracks, library.recordings, args.announced)
     mashup.truth["seed"] = args.seed
     show = write_show(run_dir, mashup, library, args.seed)
@@ -57,21 +60,28 @@ def bundled_library(tracks: Mapping[str, Track], out: Path) -> Library:
     return Library(dict(tracks), recordings, out)
 
 
-def demo_set_list(tracks: Mapping[str, Track], section_s: float) -> SetList:
-    """One passage a track, from a downbeat, with a rule change as near its middle as can be."""
+def demo_set_list(
+    tracks: Mapping[str, Track], section_s: float, favoured: Container[str] = ()
+) -> SetList:
+    """One passage a track, from a downbeat, with a rule change near its middle.
+
+    Among passages that are about as good, one with a favoured skill is taken.
+    """
     entries = []
     for name in ORDER:
         track = tracks[name]
         bar_s = track.grid.beats_per_bar * 60.0 / track.grid.tempo_bpm
         starts = [bar * bar_s for bar in range(1, int((track.duration_s - section_s) / bar_s))]
-        best = min(starts, key=lambda start: _off_centre_s(track, start, section_s))
+        best = min(starts, key=lambda start: _badness(track, start, section_s, favoured))
         entries.append(SetEntry(name, round(best, 6), section_s))
     return SetList(tuple(entries))
 
 
-def _off_centre_s(track: Track, start_s: float, section_s: float) -> float:
+def _badness(track: Track, start_s: float, section_s: float, favoured: Container[str]) -> float:
     spans = track.sections(start_s, start_s + section_s)
     if len(spans) < 2:
-        return section_s
+        return 2.0 * section_s
+    off_centre_s = abs(spans[0][1] - start_s - 0.5 * section_s)
+    bonus_s = FAVOUR_S if any(skill in favoured for _, _, skill in spans) else 0.0
     # Rounded: passages that are equally good must not be told apart by the last bit.
-    return round(abs(spans[0][1] - start_s - 0.5 * section_s), 3) + 10.0 * abs(len(spans) - 2)
+    return round(off_centre_s - bonus_s, 3) + 10.0 * abs(len(spans) - 2)
