@@ -51,7 +51,7 @@ RATE_PENALTY = 15.0
 MIN_WINDOW_FRAMES = 8
 MIN_SAMPLE_RATE_HZ = 8_000
 THRESHOLDS = ((1.0, 3.9), (1.25, 3.5), (1.5, 3.3), (2.0, 3.1), (3.0, 3.0), (5.0, 3.0))
-"""(window [s], score): shorter windows meet more chance and must stand higher."""
+"""(window [s], score): shorter windows meet more chance and must stand higher (docs/matcher.md)."""
 
 
 def threshold(seconds: float) -> float:

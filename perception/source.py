@@ -74,15 +74,26 @@ def audio_files(folder: Path) -> list[Path]:
 class FileSource:
     """Plays a recording on a clock: sample k sounds at first_sample_utime + k / rate."""
 
-    def __init__(self, recording: Recording, first_sample_utime: int) -> None:
+    def __init__(
+        self, recording: Recording, first_sample_utime: int, latency_s: float = 0.0
+    ) -> None:
+        """Start a recording.
+
+        Args:
+            recording: What sounds.
+            first_sample_utime: When sample 0 sounds [us].
+            latency_s: How long after it sounds a sample can be read, as behind a microphone's
+                buffers [s]. Stamps stay those of the sound.
+        """
         self.recording = recording
         self.first_sample_utime = first_sample_utime
         self.sample_rate_hz = recording.sample_rate_hz
+        self._latency_us = round(latency_s * 1e6)
         self._read = 0
 
     def read(self, utime: int) -> F32:
-        """Return the samples that have sounded since the last read; never any from the future."""
-        elapsed_us = utime - self.first_sample_utime
+        """Return the samples that came in since the last read; never any from the future."""
+        elapsed_us = utime - self._latency_us - self.first_sample_utime
         heard = elapsed_us * self.sample_rate_hz // 1_000_000
         heard = int(min(max(heard, self._read), len(self.recording.samples)))
         chunk = self.recording.samples[self._read : heard]
@@ -96,7 +107,7 @@ class FileSource:
 
     @property
     def heard_utime(self) -> int:
-        """The time up to which sound was read [us]."""
+        """When the last sample that was read sounded [us]."""
         return self.first_sample_utime + self._read * 1_000_000 // self.sample_rate_hz
 
 
@@ -110,6 +121,8 @@ class Ring:
 
     def append(self, chunk: F32) -> None:
         """Add new samples, forget the oldest."""
+        if len(chunk) == 0:
+            return
         self._samples = np.concatenate([self._samples, chunk])[-self._size :]
 
     def last(self, seconds: float) -> F32:

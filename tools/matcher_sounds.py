@@ -7,11 +7,15 @@ voices, pink noise, a narrow band, low level). Deterministic by the generator ha
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+import soxr
 from scipy.signal import butter, fftconvolve, sosfilt
 
 from downbeat.perception.features import F32
+from downbeat.perception.source import Recording, audio_files, load_recording
+from downbeat.tools.mashup import SAMPLE_RATE_HZ
 
 Condition = Callable[[F32, int, np.random.Generator], F32]
 """(samples, sample rate [Hz], generator) -> samples of the same length."""
@@ -95,3 +99,46 @@ def _room(rt60_s: float, sample_rate_hz: int, rng: np.random.Generator) -> F32:
 
 def _rms(samples: F32) -> float:
     return float(np.sqrt(np.mean(samples.astype(np.float64) ** 2)) + 1e-12)
+
+
+def synthetic_sounds(seconds: float = 20.0) -> list[Recording]:
+    """Return tones, chords, noise and silence."""
+    rng = np.random.default_rng(11)
+    count = round(seconds * SAMPLE_RATE_HZ)
+    t = np.arange(count) / SAMPLE_RATE_HZ
+    sounds: dict[str, Callable[[], F32]] = {
+        "silence": lambda: np.zeros(count, np.float32),
+        "white": lambda: 0.1 * rng.standard_normal(count),
+        "brown": lambda: _brown(count, rng),
+        "siren": lambda: 0.2 * np.sin(2 * np.pi * (600 * t - 60 * np.cos(2 * np.pi * 0.5 * t))),
+    }
+    for hertz in (220.0, 440.0, 523.25, 1000.0):
+        sounds[f"tone {hertz:g}"] = lambda hertz=hertz: 0.2 * np.sin(2 * np.pi * hertz * t)
+        sounds[f"chord {hertz:g}"] = lambda hertz=hertz: sum(
+            0.1 * np.sin(2 * np.pi * hertz * ratio * t) for ratio in (1.0, 1.25, 1.5)
+        )
+    return [Recording(n, make().astype(np.float32), SAMPLE_RATE_HZ) for n, make in sounds.items()]
+
+
+def _brown(count: int, rng: np.random.Generator) -> F32:
+    walk = np.cumsum(rng.standard_normal(count))
+    walk -= np.linspace(walk[0], walk[-1], count)
+    return 0.1 * walk / walk.std()
+
+
+def load_folder(folder: Path) -> dict[str, Recording]:
+    """Decode a folder of recordings, by name."""
+    found = (load_recording(path) for path in audio_files(folder))
+    return {recording.name: recording for recording in found}
+
+
+def conditions(speech: Path | None) -> dict[str, Condition | None]:
+    """Return the conditions that can be measured; a robot's microphone needs voices."""
+    found: dict[str, Condition | None] = {"clean": None, "white noise 10 dB": white_noise(10.0)}
+    if speech is not None:
+        voices = [
+            soxr.resample(r.samples, r.sample_rate_hz, SAMPLE_RATE_HZ)
+            for r in load_folder(speech).values()
+        ]
+        found["robot microphone"] = robot_microphone(make_babble(voices, 30.0, SAMPLE_RATE_HZ))
+    return found

@@ -23,3 +23,9 @@ def make_music(seed: int, seconds: float, rate: int = RATE) -> np.ndarray:
         stop = min(start + len(t), len(out))
         out[start:stop] += note[: stop - start]
     return (0.2 * out / (np.abs(out).max() + 1e-9)).astype(np.float32)
+
+
+def make_song(seed: int, verse_s: float) -> np.ndarray:
+    """Return verse, bridge, the same verse bit for bit, ending; each of `verse_s`."""
+    verse, bridge, ending = (make_music(seed + part, verse_s) for part in (0, 100, 200))
+    return np.concatenate([verse, bridge, verse, ending])
