@@ -145,7 +145,7 @@ def measure_cuts(
     recordings: Mapping[str, Recording],
     seeds: Sequence[int],
     condition: Condition | None = None,
-    section_s: float = SECTION_S,
+    sections: int = SECTIONS,
 ) -> CutReport:
     """Play a mashup per seed and judge every cut."""
     report = CutReport()
@@ -155,7 +155,7 @@ def measure_cuts(
     }
     references = {n: ft.to_matcher_rate(r.samples, r.sample_rate_hz) for n, r in recordings.items()}
     for seed in seeds:
-        set_list, _ = seeded_set_list(tracks, recordings, section_s, SECTIONS, seed)
+        set_list, _ = seeded_set_list(tracks, recordings, SECTION_S, sections, seed)
         mashup = build_mashup(set_list, tracks, recordings, False)
         samples = mashup.samples
         if condition is not None:
