@@ -19,6 +19,8 @@ HOLD_SIMILARITY = 0.30
 """A second of the right place correlates by 0.5 to 0.95, of a wrong one by 0.1."""
 HOLD_SHARE = 0.6
 """Or a fall to this share of what the lock has been used to."""
+REGAIN_SHARE = 0.75
+"""After a bad hop more is asked for: half of the check may be new, and alike by chance."""
 DROP_AFTER_HOPS = 3
 SHORTEST_S, LONGEST_S = 1.0, 5.0
 LOST_LENGTHS_S = (1.25, 2.0, 3.0, 5.0)
@@ -154,7 +156,8 @@ class Tracker:
 
     def _check(self, ring: Ring, now: int, place: Place) -> TrackState:
         similarity, correction_s = self._compare(ring, now, place, CHECK_S)
-        if similarity >= max(HOLD_SIMILARITY, HOLD_SHARE * self._usual):
+        share = REGAIN_SHARE if self._bad_hops else HOLD_SHARE
+        if similarity >= max(HOLD_SIMILARITY, share * self._usual):
             elapsed_s = (now - self._last_good_utime) * 1e-6
             self._bad_hops = 0
             self._last_good_utime = now
