@@ -5,140 +5,53 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 from downbeat.policies.errors import PolicyError
+from downbeat.policies.manifest_types import (
+    Certificate,
+    CertificateCase,
+    CommandLimits,
+    Kind,
+    SkillLimits,
+    SkillManifest,
+)
+from downbeat.policies.spec_toml import spec_from_table
 from downbeat.policies.toml_fields import check_keys, integer, number, numbers, texts
 from downbeat.runtime.errors import one_of
 
-Kind = Literal["planted", "stepping", "locomotion"]
+__all__ = [
+    "BUNDLED_SKILLS",
+    "Certificate",
+    "CertificateCase",
+    "CommandLimits",
+    "Kind",
+    "SkillLimits",
+    "SkillManifest",
+    "file_sha256",
+    "load_manifest",
+    "load_skills",
+]
+
 OBSERVATION_NAMES = ("projected_gravity", "base_ang_vel", "joint_pos", "joint_vel")
 OBSERVATION_SIZE = 64
 BUNDLED_SKILLS = Path(__file__).resolve().parent
 
-
-@dataclass(frozen=True, slots=True)
-class CommandLimits:
-    """What a locomotion skill may be asked for, base frame.
-
-    Attributes:
-        vx, vy: (low, high) [m/s].
-        yaw_rate: (low, high) [rad/s].
-        slew_linear: Fastest change of vx and vy [m/s^2].
-        slew_yaw: Fastest change of the yaw rate [rad/s^2].
-        heading_gain: Yaw rate per heading error [1/s]; holds a straight line.
-        heading_filter_s: Time constant of the low pass on the measured heading [s].
-    """
-
-    vx: tuple[float, float]
-    vy: tuple[float, float]
-    yaw_rate: tuple[float, float]
-    slew_linear: float
-    slew_yaw: float
-    heading_gain: float
-    heading_filter_s: float = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class CertificateCase:
-    """One closed-loop test of a certificate; the worst of its runs.
-
-    Attributes:
-        name: What was varied.
-        seconds: How long a run lasts [s].
-        runs, falls: How many runs, and how many of them fell.
-        survived_s: Shortest time on the feet [s].
-        rmse_rad: Largest RMS joint error against the reference [rad].
-        drift_m: Largest way that the feet crept [m]; walking: largest distance off the line.
-        note: What else was measured.
-    """
-
-    name: str
-    seconds: float
-    runs: int
-    falls: int
-    survived_s: float
-    rmse_rad: float
-    drift_m: float
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Certificate:
-    """What a skill survived alone, through ONNX Runtime, in simulation.
-
-    Attributes:
-        method: How it was tested, one sentence.
-        versions: Versions of the physics and of the inference library.
-        passed: No fall in any required case.
-        pushes_n_s: Largest survived push forward, back, left, right [N s]; reported, not required.
-        case: All cases.
-    """
-
-    method: str
-    versions: str
-    passed: bool
-    pushes_n_s: tuple[float, ...]
-    case: tuple[CertificateCase, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class SkillManifest:
-    """One skill, as its manifest describes it.
-
-    Attributes:
-        name: Skill name, equal to its folder's.
-        title: For people.
-        file: ONNX file, relative to the folder.
-        sha256: Of the ONNX file.
-        licence: SPDX name.
-        kind: "planted" (feet stay), "stepping" or "locomotion".
-        loop: Whether it repeats; False: it ends after `duration_s`.
-        rate_hz: Control rate.
-        duration_s: Length of the loop at the built tempo [s], exact.
-        ticks: Rows of the table; `time_step = phase_s / duration_s * ticks`.
-        bpm: Built tempo; 0 for gestures.
-        beats: Beats per loop; 0 for gestures.
-        tempo_range_bpm: Tempos danced by advancing the phase; (0, 0) for gestures.
-        observation_names: Terms of `obs`, in order.
-        phrases: What a person may say to ask for it.
-        entry_phases_s: Phases [s] at which it may be entered; None: any.
-        exit_phases_s: Phases [s] at which it may be left; None: any.
-        command: Limits of the command input; None without one.
-        certificate: What it survived; None before `downbeat policy certify`.
-        folder: Where the manifest lies.
-    """
-
-    name: str
-    title: str
-    file: str
-    sha256: str
-    licence: str
-    kind: Kind
-    loop: bool
-    rate_hz: int
-    duration_s: float
-    ticks: int
-    bpm: float
-    beats: int
-    tempo_range_bpm: tuple[float, float]
-    observation_names: tuple[str, ...]
-    folder: Path
-    phrases: tuple[str, ...] = ()
-    entry_phases_s: tuple[float, ...] | None = None
-    exit_phases_s: tuple[float, ...] | None = None
-    command: CommandLimits | None = None
-    certificate: Certificate | None = None
-
-    @property
-    def onnx_path(self) -> Path:
-        """The ONNX file."""
-        return self.folder / self.file
-
-
-_OPTIONAL = {"phrases", "entry_phases_s", "exit_phases_s", "command", "certificate"}
+_OPTIONAL = {
+    "phrases",
+    "entry_phases_s",
+    "exit_phases_s",
+    "command",
+    "limits",
+    "policy",
+    "extra_files",
+    "extra_sha256",
+    "source",
+    "inferred",
+    "certificate",
+}
 _KEYS = {field.name for field in fields(SkillManifest)} - {"folder"}
 
 
@@ -188,15 +101,19 @@ def _from_table(table: Mapping[str, Any], path: Path) -> SkillManifest:
         values[key] = number(values[key], f"{path}:{key}")
     for key in ("rate_hz", "ticks", "beats"):
         values[key] = integer(values[key], f"{path}:{key}")
-    for key in ("observation_names", "phrases"):
+    for key in ("observation_names", "phrases", "extra_files", "extra_sha256", "inferred"):
         values[key] = texts(values.get(key, []), f"{path}:{key}")
-    for key in ("name", "title", "file", "sha256", "licence", "kind"):
-        if not isinstance(values[key], str):
+    for key in ("name", "title", "file", "sha256", "licence", "kind", "source"):
+        if not isinstance(values.setdefault(key, ""), str):
             raise PolicyError(f"{values[key]!r} is not text ({path}:{key}).")
     if not isinstance(values["loop"], bool):
         raise PolicyError(f"{values['loop']!r} is neither true nor false ({path}:loop).")
     if "command" in values:
         values["command"] = _command(values["command"], path)
+    if "limits" in values:
+        values["limits"] = _limits(values["limits"], path)
+    if "policy" in values:
+        values["policy"] = spec_from_table(values["policy"], f"{path}:policy")
     if "certificate" in values:
         values["certificate"] = _certificate(values["certificate"], path)
     return SkillManifest(folder=path.parent, **values)
@@ -215,10 +132,16 @@ def _command(table: Any, path: Path) -> CommandLimits:
     return CommandLimits(**values)
 
 
+def _limits(table: Any, path: Path) -> SkillLimits:
+    where = f"{path}:limits"
+    check_keys(table, {field.name for field in fields(SkillLimits)}, set(), where)
+    return SkillLimits(**{key: number(value, f"{where}.{key}") for key, value in table.items()})
+
+
 def _certificate(table: Any, path: Path) -> Certificate:
     where = f"{path}:certificate"
     keys = {field.name for field in fields(Certificate)}
-    check_keys(table, keys, keys, where)
+    check_keys(table, keys, keys - {"target_jump_p99_rad"}, where)
     case_keys = {field.name for field in fields(CertificateCase)}
     cases = []
     for index, case in enumerate(table["case"]):
@@ -231,6 +154,9 @@ def _certificate(table: Any, path: Path) -> Certificate:
         passed=bool(table["passed"]),
         pushes_n_s=pushes,
         case=tuple(cases),
+        target_jump_p99_rad=number(
+            table.get("target_jump_p99_rad", 0.0), f"{where}.target_jump_p99_rad"
+        ),
     )
 
 
@@ -267,9 +193,29 @@ def _check(manifest: SkillManifest, path: Path) -> None:
 def _check_file(manifest: SkillManifest, path: Path) -> None:
     if not manifest.onnx_path.is_file():
         raise PolicyError(f"{manifest.onnx_path} does not exist ({path}:file).")
-    found = file_sha256(manifest.onnx_path)
-    if found != manifest.sha256:
+    _check_digest(manifest.folder, manifest.file, manifest.sha256, f"{path}:sha256")
+    if len(manifest.extra_files) != len(manifest.extra_sha256):
         raise PolicyError(
-            f"{manifest.onnx_path} has SHA-256 {found[:12]}..., the manifest expects "
-            f"{manifest.sha256[:12]}... ({path}:sha256)."
+            f"{len(manifest.extra_files)} extra files have {len(manifest.extra_sha256)} digests "
+            f"({path}:extra_sha256)."
+        )
+    for name, digest in zip(manifest.extra_files, manifest.extra_sha256, strict=True):
+        _check_digest(manifest.folder, name, digest, f"{path}:extra_files")
+    motion = manifest.policy.motion if manifest.policy is not None else None
+    if motion is not None and motion.file not in manifest.extra_files:
+        raise PolicyError(
+            f"Motion file '{motion.file}' is not among extra_files ({path}:policy.motion.file)."
+        )
+
+
+def _check_digest(folder: Path, name: str, digest: str, where: str) -> None:
+    file = folder / name
+    if Path(name).is_absolute() or not file.resolve().is_relative_to(folder.resolve()):
+        raise PolicyError(f"{name} lies outside the skill's folder {folder} ({where}).")
+    if not file.is_file():
+        raise PolicyError(f"{file} does not exist ({where}).")
+    found = file_sha256(file)
+    if found != digest:
+        raise PolicyError(
+            f"{file} has SHA-256 {found[:12]}..., the manifest expects {digest[:12]}... ({where})."
         )

@@ -17,6 +17,7 @@ def _scalar(value: object) -> str:
         return str(value)
     if isinstance(value, float):
         text = f"{value:.10g}"
+        text = text if float(text) == value else repr(value)
         return text if any(c in text for c in ".en") else text + ".0"
     if isinstance(value, str):
         escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
