@@ -18,9 +18,10 @@ from downbeat.control import faults
 from downbeat.control.director import Director, Frame
 from downbeat.control.faults import Reaction
 from downbeat.control.observation import RobotState, tilt
-from downbeat.control.policy import F32, JointTargets, SkillLibrary
+from downbeat.control.policy import SkillLibrary
 from downbeat.control.requests import StatusChange
 from downbeat.control.safety import RaisedFault, SafetyMonitor
+from downbeat.control.skill import F32, JointTargets
 from downbeat.lcm_types import (
     control_status_t,
     estop_t,
@@ -125,16 +126,16 @@ class ControlCore:
             return None, None
         self._maybe_arm(inputs)
         if self.mode == control_status_t.MOVE_TO_POSE:
-            targets = self._move_to_pose(inputs)
+            targets = self._move_to_pose(inputs, state)
             if targets is not None:
                 return None, targets
-        self.director.update(inputs.utime)
+        self.director.update(state, inputs.utime)
         frame = self.director.play(state, inputs.utime)
         if frame is None:
             return None, None
         self.mode = self.director.mode
-        for name, obs, targets in frame.parts:
-            for raised in self.safety.check_policy(obs, targets.joint_pos, name):
+        for name, part in frame.parts:
+            for raised in self.safety.check_policy(part.obs, part.targets.joint_pos, name):
                 self._raise(raised)
         return frame, None if self._latched else frame.targets
 
@@ -195,7 +196,7 @@ class ControlCore:
             self._move_from = np.array(inputs.state.joint_pos, np.float32)
             self._move_start_utime = inputs.utime
 
-    def _move_to_pose(self, inputs: TickInput) -> JointTargets | None:
+    def _move_to_pose(self, inputs: TickInput, state: RobotState) -> JointTargets | None:
         """Interpolate to the default pose; a held pose does not stand, so stand takes over."""
         start = self._default_pos if self._move_from is None else self._move_from
         distance = float(np.abs(start - self._default_pos).max())
@@ -203,7 +204,7 @@ class ControlCore:
         elapsed_s = (inputs.utime - self._move_start_utime) * 1e-6
         if elapsed_s >= duration_s:
             self._move_from = None
-            self.director.start(inputs.utime)
+            self.director.start(state, inputs.utime)
             return None
         share = np.float32(elapsed_s / duration_s)
         pose = start + share * (self._default_pos - start)  # (29,)
@@ -240,8 +241,8 @@ class ControlCore:
             status.input_hash = hash64(inputs.state.joint_pos, inputs.state.joint_vel)
         self.director.fill_status(status)
         if frame is not None:
-            status.obs_hash = hash64(*(obs for _, obs, _ in frame.parts))
-            status.action_hash = hash64(*(t.joint_pos for _, _, t in frame.parts))
+            status.obs_hash = hash64(*(part.obs for _, part in frame.parts))
+            status.action_hash = hash64(*(part.action for _, part in frame.parts))
         status.command_hash = hash64(
             command.joint_pos_target, command.joint_stiffness, command.joint_damping
         )

@@ -10,8 +10,9 @@ import numpy as np
 from downbeat.control.observation import RobotState
 from downbeat.control.phase import TICK_US, PhaseLine
 from downbeat.control.player import Blend, Playback, heading_of, mix, start_playback
-from downbeat.control.policy import F32, JointTargets, SkillLibrary
+from downbeat.control.policy import SkillLibrary
 from downbeat.control.requests import Request, RequestBook
+from downbeat.control.skill import JointTargets, SkillOutput
 from downbeat.control.transitions import Goal, Hop, half_us, next_hop, walk_stop_lead_us
 from downbeat.lcm_types import control_status_t, skill_status_t
 
@@ -27,11 +28,11 @@ class Frame:
     """What one tick of playing computed.
 
     Attributes:
-        parts: (skill name, observation, targets) of each skill in play, incoming first.
+        parts: (skill name, output) of each skill in play, incoming first.
         targets: The mixed targets.
     """
 
-    parts: tuple[tuple[str, F32, JointTargets], ...]
+    parts: tuple[tuple[str, SkillOutput], ...]
     targets: JointTargets
 
 
@@ -56,10 +57,11 @@ class Director:
         standing = self.playback is None or self.playback.name == "stand"
         return control_status_t.STAND if standing else control_status_t.SKILL
 
-    def start(self, now: int) -> None:
+    def start(self, state: RobotState, now: int) -> None:
         """Begin with the stand skill."""
         hop = Hop(now, "stand", 0)
-        self.playback = start_playback(self.library["stand"], hop, PhaseLine(now, 0.0, 1.0), now, 0)
+        line = PhaseLine(now, 0.0, 1.0)
+        self.playback = start_playback(self.library["stand"], hop, line, state, now, 0)
 
     def stop(self, reason: str) -> None:
         """End everything at once; the book's requests are aborted."""
@@ -71,7 +73,7 @@ class Director:
 
     # ------------------------------------------------------------------ scheduling
 
-    def update(self, now: int) -> None:
+    def update(self, state: RobotState, now: int) -> None:
         """Start the next hop when it is due."""
         self.book.expire(now)
         playback = self.playback
@@ -94,7 +96,7 @@ class Director:
         still = playback.velocity is None or playback.velocity.is_still
         hop = next_hop(playback.skill.manifest, playback.follower, still, goal, now)
         if hop is not None and hop.start_utime <= now + TICK_US // 2:
-            self._start_hop(hop, request, playback, now)
+            self._start_hop(hop, request, playback, state, now)
 
     @staticmethod
     def _slow_down(playback: Playback, goal: Goal, now: int) -> None:
@@ -132,12 +134,15 @@ class Director:
         self._plan = "direct"
         self._say_running(request, now)
 
-    def _start_hop(self, hop: Hop, request: Request, outgoing: Playback, now: int) -> None:
+    def _start_hop(
+        self, hop: Hop, request: Request, outgoing: Playback, state: RobotState, now: int
+    ) -> None:
         final = hop.to_skill == request.skill
         own = request.key[0] == OWN_SOURCE
         line = request.line if final else PhaseLine(now, 0.0, 1.0)
         request_id = request.key[1] if final else 0
-        playback = start_playback(self.library[hop.to_skill], hop, line, now, request_id)
+        skill = self.library[hop.to_skill]
+        playback = start_playback(skill, hop, line, state, now, request_id)
         self.playback = playback
         self.blend = Blend(outgoing, hop)
         if own:
@@ -145,13 +150,13 @@ class Director:
         onset = now + half_us(hop.blend_ticks)
         if not final:
             self._plan = "via_stand"
-            state, onset = skill_status_t.PRIMING, request.onset_utime
+            said, onset = skill_status_t.PRIMING, request.onset_utime
         else:
             self._plan = self._plan or "blended"
             self._activate(request, playback, now)
             self._coming = request
-            state = skill_status_t.BLENDING
-        self.book.say(request, state, planned_start_utime=onset, plan=self._plan)
+            said = skill_status_t.BLENDING
+        self.book.say(request, said, planned_start_utime=onset, plan=self._plan)
 
     def _activate(self, request: Request, playback: Playback, now: int) -> None:
         self.book.activate(request)
@@ -186,13 +191,12 @@ class Director:
         if self._coming is not None and (blend is None or blend.weight >= 0.5):
             self._say_running(self._coming, now)
         heading = heading_of(state)
-        obs, targets = playback.act(state, heading)
+        incoming = playback.step(state, heading)
         if blend is None:
-            return Frame(((playback.name, obs, targets),), targets)
-        outgoing_obs, outgoing = blend.outgoing.act(state, heading)
-        mixed = mix(outgoing, targets, blend.weight, blend.hop, blend.tick)
-        parts = ((playback.name, obs, targets), (blend.outgoing.name, outgoing_obs, outgoing))
-        return Frame(parts, mixed)
+            return Frame(((playback.name, incoming),), incoming.targets)
+        outgoing = blend.outgoing.step(state, heading)
+        mixed = mix(outgoing.targets, incoming.targets, blend.weight, blend.hop, blend.tick)
+        return Frame(((playback.name, incoming), (blend.outgoing.name, outgoing)), mixed)
 
     def end_tick(self, now: int) -> None:
         """Advance phases and blend; called after the status of the tick was taken."""

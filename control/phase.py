@@ -64,11 +64,24 @@ class PhaseFollower:
         beat_s: float | None,
         entry_phase_s: float | None = None,
         limits: FollowLimits | None = None,
+        loop: bool = True,
     ) -> None:
+        """Start on the line, or at `entry_phase_s`.
+
+        Args:
+            line: Phase line to follow.
+            utime: Now [us].
+            duration_s: Length of the skill [s].
+            beat_s: Length of a beat of skill time [s]; None: no beats.
+            entry_phase_s: Start here instead of on the line [s].
+            limits: How fast the phase may chase the line.
+            loop: False: the phase is held at the start and at the end instead of wrapping.
+        """
         self.line = line
         self.duration_s = duration_s
         self.beat_s = beat_s
         self.limits = limits or FollowLimits()
+        self.loop = loop
         self.rate = line.rate
         self.phase_s = line.at(utime) if entry_phase_s is None else entry_phase_s
 
@@ -93,7 +106,9 @@ class PhaseFollower:
 
     @property
     def wrapped_s(self) -> float:
-        """The phase inside the loop, [0, duration_s)."""
+        """The phase inside the loop, [0, duration_s); of a one-shot, held at both ends."""
+        if not self.loop:
+            return min(max(self.phase_s, 0.0), self.duration_s)
         return self.phase_s % self.duration_s
 
     def next_crossing_s(self, loop_phase_s: float) -> float:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from downbeat.control.observation import RobotState, observe, yaw
+from downbeat.control.observation import RobotState, yaw
 from downbeat.control.phase import TICK_S, TICK_US, PhaseFollower, PhaseLine, wrap
-from downbeat.control.policy import F32, JointTargets, Skill
+from downbeat.control.skill import F32, JointTargets, Skill, SkillMemory, SkillOutput
 from downbeat.control.transitions import Hop, beat_s, half_us
 
 LEG_JOINTS = slice(0, 12)
@@ -69,6 +69,7 @@ class Playback:
     skill: Skill
     follower: PhaseFollower
     request_id: int
+    memory: SkillMemory
     hold_until_utime: int = 0
     """Footwork stands at its phase 0 until here."""
     velocity: Velocity | None = None
@@ -78,13 +79,12 @@ class Playback:
         """Name of the skill."""
         return self.skill.manifest.name
 
-    def act(self, state: RobotState, heading: float) -> tuple[F32, JointTargets]:
-        """Return the observation and the targets for this tick."""
-        obs = np.asarray(observe(state, self.skill.manifest.observation_names), np.float32)
+    def step(self, state: RobotState, heading: float) -> SkillOutput:
+        """Compute this tick."""
         command = np.zeros(3, np.float32)
         if self.velocity is not None:
             command = self.velocity.update(heading)
-        return obs, self.skill.act(obs, self.follower.wrapped_s, command)
+        return self.skill.step(self.memory, state, self.follower.wrapped_s, command)
 
     def advance(self, utime: int) -> None:
         """Move the phase on by one tick."""
@@ -130,13 +130,15 @@ def mix(a: JointTargets, b: JointTargets, weight: float, hop: Hop, tick: int) ->
 
 
 def start_playback(
-    skill: Skill, hop: Hop, line: PhaseLine, utime: int, request_id: int
+    skill: Skill, hop: Hop, line: PhaseLine, state: RobotState, utime: int, request_id: int
 ) -> Playback:
-    """Begin to play `skill` with the blend of `hop` that starts at `utime`."""
+    """Begin to play `skill` with the blend of `hop` that starts at `utime`, from `state`."""
     manifest = skill.manifest
     entry = 0.0 if hop.entry == "zero" else None
-    follower = PhaseFollower(line, utime, manifest.duration_s, beat_s(manifest), entry)
-    playback = Playback(skill, follower, request_id)
+    follower = PhaseFollower(
+        line, utime, manifest.duration_s, beat_s(manifest), entry, loop=manifest.loop
+    )
+    playback = Playback(skill, follower, request_id, skill.begin(state, follower.wrapped_s))
     if hop.entry == "zero":
         playback.hold_until_utime = utime + half_us(hop.blend_ticks)
     if manifest.command is not None:

@@ -1,71 +1,22 @@
-"""Run one ONNX skill: observation and phase in, joint targets out.
-
-ONNX Runtime with one thread and a fixed optimisation level: bit-identical across processes.
-"""
+"""Our own ONNX skills, and the library of everything control can play."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import onnxruntime as ort
 
 from downbeat.catalog.robot import load_g1
 from downbeat.control.errors import ControlError
-from downbeat.control.observation import check_terms
+from downbeat.control.network import NetworkSkill
+from downbeat.control.observation import RobotState, check_terms, observe
+from downbeat.control.session import WARM_UP_CALLS, open_session
+from downbeat.control.skill import F32, JointTargets, Skill, SkillMemory, SkillOutput
 from downbeat.policies.manifest import SkillManifest, load_skills
 
-F32 = npt.NDArray[np.float32]
-NUM_JOINTS = 29
-WARM_UP_CALLS = 10
-"""The first calls of a session allocate; they must not happen inside a tick."""
-
-
-@dataclass(frozen=True, slots=True)
-class JointTargets:
-    """What a skill wants from the motors, Unitree motor order.
-
-    Attributes:
-        joint_pos: (29,) [rad] position target.
-        joint_stiffness: (29,) [N m/rad].
-        joint_damping: (29,) [N m s/rad].
-    """
-
-    joint_pos: F32
-    joint_stiffness: F32
-    joint_damping: F32
-
-
-class Skill(Protocol):
-    """Anything control can play. Importers of other formats implement this."""
-
-    manifest: SkillManifest
-
-    def act(self, obs: F32, phase_s: float, command: F32) -> JointTargets:
-        """Return the targets for one tick; `obs` holds the manifest's terms in order."""
-        ...
-
-
-def session(path: Path) -> ort.InferenceSession:
-    """Open an ONNX file the one way that Downbeat runs policies.
-
-    Raises:
-        ControlError: The file is missing or is not a valid ONNX model.
-    """
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    try:
-        return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises a dozen types of its own
-        raise ControlError(f"Policy {path} cannot be loaded: {error}") from error
+__all__ = ["F32", "JointTargets", "OnnxSkill", "Skill", "SkillLibrary", "open_skill"]
 
 
 class OnnxSkill:
@@ -74,7 +25,7 @@ class OnnxSkill:
     def __init__(self, manifest: SkillManifest) -> None:
         check_terms(manifest.observation_names, f"{manifest.onnx_path}:observation_names")
         self.manifest = manifest
-        self._session = session(manifest.onnx_path)
+        self._session = open_session(manifest.onnx_path)
         robot = load_g1()
         self._default = np.asarray(robot.default_joint_pos, np.float32)  # (29,)
         self._scale = np.asarray(robot.action_scale, np.float32)  # (29,)
@@ -97,6 +48,18 @@ class OnnxSkill:
                 f"it has inputs {', '.join(inputs)} and outputs {', '.join(sorted(outputs))}."
             )
 
+    def begin(self, state: RobotState, phase_s: float) -> SkillMemory:
+        """Return an empty memory: our skills are functions of state and phase."""
+        return SkillMemory(np.zeros(0, np.float32))
+
+    def step(
+        self, memory: SkillMemory, state: RobotState, phase_s: float, command: F32
+    ) -> SkillOutput:
+        """Compute one tick; see `Skill.step`."""
+        obs = np.asarray(observe(state, self.manifest.observation_names), np.float32)
+        targets = self.act(obs, phase_s, command)
+        return SkillOutput(obs, targets.joint_pos, targets)
+
     def act(self, obs: F32, phase_s: float, command: F32) -> JointTargets:
         """Return the targets at skill time `phase_s`.
 
@@ -116,6 +79,15 @@ class OnnxSkill:
         return JointTargets(target, self._stiffness, self._damping)
 
 
+def open_skill(manifest: SkillManifest) -> Skill:
+    """Open a skill of our own format or an imported one.
+
+    Raises:
+        ControlError: The network does not fit its manifest.
+    """
+    return OnnxSkill(manifest) if manifest.policy is None else NetworkSkill(manifest)
+
+
 class SkillLibrary:
     """All skills that control may play, loaded and warmed before the first tick."""
 
@@ -127,10 +99,24 @@ class SkillLibrary:
         self._skills = dict(skills)
 
     @classmethod
-    def load(cls, folder: Path | None = None, only: frozenset[str] | None = None) -> SkillLibrary:
-        """Load the bundled skills, or those of `folder`; `only` limits the names."""
-        manifests = load_skills(folder)
-        return cls({n: OnnxSkill(m) for n, m in manifests.items() if only is None or n in only})
+    def load(
+        cls,
+        folder: Path | None = None,
+        only: frozenset[str] | None = None,
+        imported: Path | None = None,
+    ) -> SkillLibrary:
+        """Load skills.
+
+        Args:
+            folder: Our own; None: the bundled ones.
+            only: Limits the names.
+            imported: Folder of further skills, as `downbeat policy import` writes them; one that
+                has the name of another skill takes its place.
+        """
+        manifests = dict(load_skills(folder))
+        if imported is not None:
+            manifests.update(load_skills(imported))
+        return cls({n: open_skill(m) for n, m in manifests.items() if only is None or n in only})
 
     def __contains__(self, name: str) -> bool:
         return name in self._skills

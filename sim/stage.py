@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from downbeat.catalog.mjcf import ModelOptions, g1_mjcf
 from downbeat.catalog.robot import load_g1
 from downbeat.control.player import mix, smoothstep
-from downbeat.control.policy import F32, JointTargets, OnnxSkill, session
+from downbeat.control.policy import F32, JointTargets, OnnxSkill
+from downbeat.control.session import open_session
 from downbeat.control.transitions import Hop, Style
 from downbeat.policies.manifest import SkillManifest
 from downbeat.sim.noise import NO_NOISE, NoiseConfig
@@ -76,7 +77,7 @@ class StageSkill:
     def __init__(self, manifest: SkillManifest) -> None:
         self.manifest = manifest
         self._policy = OnnxSkill(manifest)
-        self._session = session(manifest.onnx_path)
+        self._session = open_session(manifest.onnx_path)
         self._table = None
         if manifest.kind != "locomotion":
             times = np.arange(manifest.ticks + 1) / manifest.ticks * manifest.duration_s

@@ -110,10 +110,10 @@ def test_non_finite_action_never_reaches_a_motor(rig):
             self.manifest = skill.manifest
             self._skill = skill
 
-        def act(self, obs, phase_s, command):
-            targets = self._skill.act(obs, phase_s, command)
-            targets.joint_pos[5] = np.nan
-            return targets
+        def step(self, memory, state, phase_s, command):
+            output = self._skill.step(memory, state, phase_s, command)
+            output.targets.joint_pos[5] = np.nan
+            return output
 
     rig.core.director.playback.skill = Broken(rig.core.director.playback.skill)
     output = rig.tick()
