@@ -1,36 +1,37 @@
 """Where the robot is and how it moves, from its legs and its IMU: no ground truth, no force sensor.
 
 A foot that rests on the floor does not move, so the joints and the gyro tell how the base does; the
-accelerometer bridges the noise. A foot is taken to rest when it is low and when the motion it tells
-of agrees with what is known. The velocity that is filtered is that of the IMU, not of the base: it
-is what the accelerometer integrates to, without a derivative of the gyro.
+accelerometer bridges their noise. A foot is taken to rest when it is low and when what it tells
+agrees with what is known. The velocity that is filtered is that of the IMU, not of the base: it is
+what the accelerometer integrates to, without a derivative of the gyro.
 
-Frames: b base (pelvis), w world as the IMU has it (z up, its own heading), x and y from where the
-estimator was reset, z above the sole. Plain floats, no clock, no randomness.
+Frames: base (pelvis); world as the IMU has it, z up, x and y from where the estimator was reset,
+z from the soles. Plain floats, no clock, no randomness.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
+import numpy as np
+
 from downbeat.catalog.robot import load_g1
-from downbeat.control.kinematics import (
-    SOLE_CORNERS,
-    FootMotion,
-    Vec3,
-    centre_of_mass_motion,
-    feet,
-)
+from downbeat.control.errors import ControlError
+from downbeat.control.kinematics import centre_of_mass_motion, feet
+from downbeat.control.soles import Sole, SoleLimits, rest_confidence, see_sole
 from downbeat.control.support import Point, convex_hull, signed_distance
+from downbeat.control.vectors import Vec3, cross, minus, plus, rotation_of, towards, turn, turn_back
 
 GRAVITY_M_S2 = 9.81
 IMU_POS: Vec3 = load_g1().site("imu_in_pelvis").pos
+LEAST_CONFIDENCE = 0.2
+"""Below this in sum the lower foot is believed that much, however it moves: something must be."""
+LARGEST_INPUT = 1000.0
+"""No sensor of the robot reaches this in its unit; what does is broken."""
 UNKNOWN: Vec3 = (math.nan, math.nan, math.nan)
-_ZERO: Vec3 = (0.0, 0.0, 0.0)
-_CORNERS: tuple[Point, ...] = tuple((c[0], c[1]) for c in SOLE_CORNERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,32 +44,24 @@ class EstimatorConfig:
         height_gain: Of the legs' height against the integrated velocity.
         position_gain: Of resting feet against the integrated velocity.
         anchor_gain: With which the place of a resting foot follows.
-        corner_depth_m: Corners of a sole this much above its lowest one carry nothing.
-        rest_height_m: A foot this much above the lower one may rest.
-        lift_height_m: A foot this much above the lower one does not.
-        rest_speed_m_s: A foot this fast may rest.
-        slip_speed_m_s: A foot this fast does not.
         support_height_m: Corners lower than this above the floor are part of the support.
         support_confidence: A foot supports from here on.
+        soles: When a sole rests.
     """
 
     tick_s: float = 0.02
-    velocity_gain: float = 0.12
-    height_gain: float = 0.2
+    velocity_gain: float = 0.15
+    height_gain: float = 0.3
     position_gain: float = 0.1
     anchor_gain: float = 0.05
-    corner_depth_m: float = 0.01
-    rest_height_m: float = 0.008
-    lift_height_m: float = 0.025
-    rest_speed_m_s: float = 0.25
-    slip_speed_m_s: float = 0.6
     support_height_m: float = 0.02
     support_confidence: float = 0.4
+    soles: SoleLimits = field(default_factory=SoleLimits)
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What is known after a tick; NaN where an input was not finite.
+    """What is known after a tick; NaN where the inputs were not usable.
 
     Attributes:
         base_lin_vel: (3,) [m/s] base frame.
@@ -76,7 +69,7 @@ class Estimate:
         stance_confidence: Of the left and the right foot, 0 in the air, 1 at rest on the floor.
         com: (3,) [m] centre of mass, world, as `base_pos`.
         com_vel: (3,) [m/s] world.
-        capture_point: (2,) [m] where a foot would have to stand to stop the fall, world.
+        capture_point: (2,) [m] where a foot would have to stand to stop the motion, world.
         support_margin: [m] of the capture point inside the hull of the resting soles.
     """
 
@@ -94,46 +87,30 @@ class Estimate:
         return self.base_pos[2]
 
 
-NO_ESTIMATE = Estimate(UNKNOWN, UNKNOWN, (0.0, 0.0), UNKNOWN, UNKNOWN, (math.nan,) * 2, math.nan)
-"""What is known when an input is not finite."""
+NO_ESTIMATE = Estimate(
+    UNKNOWN, UNKNOWN, (0.0, 0.0), UNKNOWN, UNKNOWN, (math.nan, math.nan), math.nan
+)
 
 
 @dataclass(slots=True)
 class EstimatorState:
-    """Everything an estimator remembers.
+    """Everything an estimator remembers, world frame.
 
     Attributes:
-        is_started: Whether an update has been made.
-        imu_vel: (3,) [m/s] of the pelvis IMU, world.
-        imu_accel: (3,) [m/s^2] at the last tick, without gravity, world.
-        base_pos: (3,) [m] world.
-        anchors: Where the left and the right foot rest, x and y [m] each, world.
-        confidence: Of the left and the right foot at the last tick.
+        is_started: Whether a measurement was taken.
+        imu_vel: (3,) [m/s] of the pelvis IMU.
+        imu_accel: (3,) [m/s^2] of the pelvis IMU at the last tick, without gravity.
+        base_pos: (3,) [m].
+        anchors: Where the left and the right foot rest, x, y, x, y [m].
+        confidence: That the left and the right foot rest, at the last tick.
     """
 
     is_started: bool = False
-    imu_vel: Vec3 = _ZERO
-    imu_accel: Vec3 = _ZERO
-    base_pos: Vec3 = _ZERO
+    imu_vel: Vec3 = (0.0, 0.0, 0.0)
+    imu_accel: Vec3 = (0.0, 0.0, 0.0)
+    base_pos: Vec3 = (0.0, 0.0, 0.0)
     anchors: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     confidence: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class _Foot:
-    """A sole seen from the base, axes of the world.
-
-    Attributes:
-        pos: (3,) [m] of its centre.
-        corners: x, y, z [m] of its corners.
-        height: [m] of the corners that carry.
-        imu_vel: (3,) [m/s] the IMU's velocity if this foot rests.
-    """
-
-    pos: Vec3
-    corners: tuple[Vec3, ...]
-    height: float
-    imu_vel: Vec3
 
 
 class StateEstimator:
@@ -147,18 +124,6 @@ class StateEstimator:
         """Forget everything: at rest, at the origin."""
         self.state = EstimatorState()
 
-    def to_state(self) -> dict[str, Any]:
-        """Return what is remembered: bool, float and lists of float, ready for JSON."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self.state).items()}
-
-    def from_state(self, values: dict[str, Any]) -> None:
-        """Restore what `to_state` returned, bit for bit.
-
-        Raises:
-            ControlError: A field is missing, unknown, or has another length.
-        """
-        self.state = _state_from(values)
-
     def update(
         self,
         base_quat_wxyz: Sequence[float],
@@ -167,7 +132,7 @@ class StateEstimator:
         joint_pos: Sequence[float],
         joint_vel: Sequence[float],
     ) -> Estimate:
-        """Take one measurement; the state stays as it was if it is not usable.
+        """Take one measurement; if it is not usable the state stays and NO_ESTIMATE returns.
 
         Args:
             base_quat_wxyz: (4,) world <- base.
@@ -176,67 +141,143 @@ class StateEstimator:
             joint_pos: (29,) [rad] motor order.
             joint_vel: (29,) [rad/s].
         """
-        if not _is_usable(base_quat_wxyz, gyro, accel, joint_pos, joint_vel):
+        quat, rates, force = _floats(base_quat_wxyz), _floats(gyro), _floats(accel)
+        pos, vel = _floats(joint_pos), _floats(joint_vel)
+        if not _are_usable(quat, rates, force, pos, vel):
             return NO_ESTIMATE
-        rotation = _rotation(base_quat_wxyz)
-        turn_rate = _turn(rotation, (gyro[0], gyro[1], gyro[2]))  # (3,) world
-        imu_arm = _turn(rotation, IMU_POS)  # (3,) world
-        soles = [
-            _foot(self.config, motion, rotation, turn_rate, imu_arm)
-            for motion in feet(joint_pos, joint_vel)
-        ]
-        predicted = self._predict(_turn(rotation, (accel[0], accel[1], accel[2])))
-        self._correct(soles, predicted)
-        state = self.state
-        imu_spin = _cross(turn_rate, imu_arm)
-        base_vel = _minus(state.imu_vel, imu_spin)  # (3,) world
-        com_b, com_rate_b = centre_of_mass_motion(joint_pos, joint_vel)
-        com_arm = _turn(rotation, com_b)
-        com = _plus(state.base_pos, com_arm)
-        com_vel = _plus(base_vel, _plus(_cross(turn_rate, com_arm), _turn(rotation, com_rate_b)))
+        rotation = rotation_of(quat)
+        turn_rate = turn(rotation, (rates[0], rates[1], rates[2]))  # (3,) world
+        imu_arm = turn(rotation, IMU_POS)  # (3,) world
+        limits = self.config.soles
+        left, right = (
+            see_sole(limits, motion, rotation, turn_rate, imu_arm) for motion in feet(pos, vel)
+        )
+        predicted = self._integrate(turn(rotation, (force[0], force[1], force[2])))
+        self._correct(left, right, predicted)
+        base_vel = minus(self.state.imu_vel, cross(turn_rate, imu_arm))  # (3,) world
+        self._move(left, right, base_vel)
+        com_b, com_rate_b = centre_of_mass_motion(pos, vel)
+        com_arm = turn(rotation, com_b)
+        com_rate = plus(cross(turn_rate, com_arm), turn(rotation, com_rate_b))
+        com, com_vel = plus(self.state.base_pos, com_arm), plus(base_vel, com_rate)
         capture = capture_point(com, com_vel)
         return Estimate(
-            base_lin_vel=_turn_back(rotation, base_vel),
-            base_pos=state.base_pos,
-            stance_confidence=state.confidence,
+            base_lin_vel=turn_back(rotation, base_vel),
+            base_pos=self.state.base_pos,
+            stance_confidence=self.state.confidence,
             com=com,
             com_vel=com_vel,
             capture_point=capture,
-            support_margin=signed_distance(capture, self._support(soles)),
+            support_margin=signed_distance(capture, self._support(left, right)),
         )
 
-    def _predict(self, specific_force: Vec3) -> Vec3:
-        """Integrate the accelerometer over one tick; return the IMU's velocity, world."""
+    def _integrate(self, force: Vec3) -> Vec3:
+        """Return the IMU's velocity one tick on, by its specific force alone."""
         state = self.state
-        x, y, z = specific_force
-        accel = (x, y, z - GRAVITY_M_S2)
+        accel = (force[0], force[1], force[2] - GRAVITY_M_S2)
         if not state.is_started:
             state.imu_accel = accel
-        half = 0.5 * self.config.tick_s
-        before, vel = state.imu_accel, state.imu_vel
+        mean = towards(state.imu_accel, accel, 0.5)
         state.imu_accel = accel
-        return (
-            vel[0] + half * (before[0] + accel[0]),
-            vel[1] + half * (before[1] + accel[1]),
-            vel[2] + half * (before[2] + accel[2]),
-        )
+        tick = self.config.tick_s
+        return plus(state.imu_vel, (tick * mean[0], tick * mean[1], tick * mean[2]))
 
-    def _correct(self, soles: Sequence[_Foot], predicted: Vec3) -> None:
-        """Let the resting feet correct velocity, height and place."""
+    def _correct(self, left: Sole, right: Sole, predicted: Vec3) -> None:
+        """Let the resting feet correct the velocity."""
         config, state = self.config, self.state
-        left, right = soles
         lower = left if left.height <= right.height else right
         known = predicted if state.is_started else lower.imu_vel
-        confidence = tuple(_confidence(config, sole, lower.height, known) for sole in soles)
-        weights = list(confidence)
-        if sum(weights) < LEAST_CONFIDENCE:
-            weights = [LEAST_CONFIDENCE if sole is lower else 0.0 for sole in soles]
-        total = weights[0] + weights[1]
-        a, b = weights[0] / total, weights[1] / total
-        told = tuple(a * u + b * v for u, v in zip(left.imu_vel, right.imu_vel))
-        gain = config.velocity_gain * min(1.0, total) if state.is_started else 1.0
-        vel = tuple(u + gain * (v - u) for u, v in zip(known, told))
-        state.imu_vel = (vel[0], vel[1], vel[2])
-        self._move(soles, confidence, -(a * left.height + b * right.height))
-        state.confidence = (confidence[0], confidence[1])
+        a = rest_confidence(config.soles, left, lower.height, known)
+        b = rest_confidence(config.soles, right, lower.height, known)
+        state.confidence = (a, b)
+        if a + b < LEAST_CONFIDENCE:
+            a, b = (LEAST_CONFIDENCE, 0.0) if lower is left else (0.0, LEAST_CONFIDENCE)
+        told = towards(left.imu_vel, right.imu_vel, b / (a + b))
+        state.imu_vel = towards(known, told, config.velocity_gain * min(1.0, a + b))
+
+    def _move(self, left: Sole, right: Sole, base_vel: Vec3) -> None:
+        """Move the base by its velocity; let the resting feet correct height and place."""
+        config, state = self.config, self.state
+        tick = config.tick_s
+        x, y, z = state.base_pos
+        height = -min(left.height, right.height)
+        if state.is_started:
+            x, y = x + tick * base_vel[0], y + tick * base_vel[1]
+            z += tick * base_vel[2]
+            z += config.height_gain * (height - z)
+        else:
+            z = height
+        total = max(1.0, sum(state.confidence))
+        anchors: list[float] = []
+        shift_x = shift_y = 0.0
+        places = (state.anchors[:2], state.anchors[2:])
+        for sole, sure, (ax, ay) in zip((left, right), state.confidence, places):
+            here_x, here_y = x + sole.pos[0], y + sole.pos[1]
+            if sure < config.support_confidence or not state.is_started:
+                anchors += (here_x, here_y)
+                continue
+            off_x, off_y = ax - here_x, ay - here_y
+            shift_x += config.position_gain * sure / total * off_x
+            shift_y += config.position_gain * sure / total * off_y
+            anchors += (ax - config.anchor_gain * off_x, ay - config.anchor_gain * off_y)
+        state.base_pos = (x + shift_x, y + shift_y, z)
+        state.anchors = (anchors[0], anchors[1], anchors[2], anchors[3])
         state.is_started = True
+
+    def _support(self, left: Sole, right: Sole) -> list[Point]:
+        """Return the hull of the corners that stand on the floor, world, counter-clockwise."""
+        config, state = self.config, self.state
+        limit = config.support_height_m - state.base_pos[2]
+        lower = left if left.height <= right.height else right
+        points: list[Point] = []
+        places = (state.anchors[:2], state.anchors[2:])
+        for sole, sure, (ax, ay) in zip((left, right), state.confidence, places):
+            if sure >= config.support_confidence or sole is lower:
+                px, py, _ = sole.pos
+                points += [(ax + x - px, ay + y - py) for x, y, z in sole.corners if z < limit]
+        return convex_hull(points)
+
+    def to_state(self) -> dict[str, Any]:
+        """Return what is remembered, field by field: bool and lists of float."""
+        values = {f.name: getattr(self.state, f.name) for f in fields(EstimatorState)}
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+
+    def from_state(self, values: dict[str, Any]) -> None:
+        """Restore what `to_state` returned, bit for bit.
+
+        Raises:
+            ControlError: A field is missing, unknown or of another length.
+        """
+        fresh = EstimatorState()
+        shape = {f.name: _length(getattr(fresh, f.name)) for f in fields(EstimatorState)}
+        if shape != {name: _length(value) for name, value in values.items()}:
+            raise ControlError(
+                f"The estimator's state cannot be restored from the fields {', '.join(values)};"
+                f" it has {', '.join(f'{k} ({n} numbers)' for k, n in shape.items())}."
+            )
+        for name, value in values.items():
+            setattr(fresh, name, tuple(value) if isinstance(value, (list, tuple)) else value)
+        self.state = fresh
+
+
+def capture_point(com: Vec3, com_vel: Vec3) -> Point:
+    """Return com + com_vel / sqrt(g / height), x and y [m]: the linear inverted pendulum's."""
+    time_constant_s = math.sqrt(max(com[2], 0.0) / GRAVITY_M_S2)
+    return com[0] + time_constant_s * com_vel[0], com[1] + time_constant_s * com_vel[1]
+
+
+def _floats(values: Sequence[float]) -> Sequence[float]:
+    return values.tolist() if isinstance(values, np.ndarray) else values
+
+
+def _are_usable(quat: Sequence[float], *others: Sequence[float]) -> bool:
+    """Return whether all is finite and possible, and the quaternion a rotation."""
+    if not 0.5 < sum([v * v for v in quat]) < 2.0:
+        return False
+    # A sum of squares is NaN or inf if any number is.
+    limit = LARGEST_INPUT * LARGEST_INPUT
+    return all([sum([v * v for v in values]) < limit for values in others])
+
+
+def _length(value: object) -> int:
+    return len(value) if isinstance(value, (list, tuple)) else 1

@@ -1,0 +1,169 @@
+"""One skill through the real control core on the plant, recorded tick by tick, pushed if wanted.
+
+What the state estimate and the fall prediction are measured on: what control could have known
+(`Sample.state`), beside what was true (`Sample.qpos`, `Sample.qvel`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from downbeat.control.core import ControlCore, TickInput
+from downbeat.control.policy import SkillLibrary
+from downbeat.lcm_types import skill_request_t
+from downbeat.runtime.bus import MemqHub
+from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock
+from downbeat.sim.lockstep import Lockstep
+from downbeat.sim.node import SimNode
+from downbeat.sim.noise import NoiseConfig
+from downbeat.sim.plant import PlantConfig
+
+F64 = NDArray[np.float64]
+
+TICK_US = 20_000
+STAND_S = 1.0
+"""The gantry lets go within half of this."""
+PUSH_S = 0.1
+PUSHED_BODY = "torso_link"
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """A constant horizontal force on the torso for 0.1 s.
+
+    Attributes:
+        impulse_n_s: [N s].
+        direction_rad: World frame; 0 forwards, pi/2 to the left.
+        start_s: After the skill was asked for.
+    """
+
+    impulse_n_s: float
+    direction_rad: float
+    start_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotionTrial:
+    """What is played, on which robot.
+
+    Attributes:
+        skill: Name.
+        seconds: To record, from the request on.
+        mass_scale: Factor on the torso's mass.
+        friction: Of the soles.
+        seed: Of the noise.
+        velocity: vx, vy [m/s], yaw rate [rad/s], for locomotion.
+        push: None: nobody pushes.
+        noise: Of the sensors.
+    """
+
+    skill: str
+    seconds: float = 12.0
+    mass_scale: float = 1.0
+    friction: float = 0.6
+    seed: int = 0
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    push: Push | None = None
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One control tick.
+
+    Attributes:
+        time_s: Since the skill was asked for.
+        state: The g1_low_state_t that control saw.
+        status: The control_status_t of the tick.
+        qpos: (36,) true.
+        qvel: (35,) true.
+    """
+
+    time_s: float
+    state: Any
+    status: Any
+    qpos: F64
+    qvel: F64
+
+
+class _Driver:
+    """Node "control" that keeps what its core saw; requests are handed in."""
+
+    name = "control"
+    period_us = TICK_US
+
+    def __init__(self, bus: Any, core: ControlCore) -> None:
+        self._bus = bus
+        self._core = core
+        self._tick = 0
+        self.requests: list[Any] = []
+        self.seen: tuple[Any, Any] | None = None
+        bus.subscribe("G1_LOW_STATE")
+
+    def step(self, utime: int) -> None:
+        self._bus.pump()
+        latest = self._bus.latest("G1_LOW_STATE")
+        requests, self.requests = tuple(self.requests), []
+        state = None if latest is None else latest.msg
+        age_us = 0 if latest is None else utime - latest.msg.header.utime
+        output = self._core.tick(TickInput(utime, self._tick, state, age_us, requests))
+        self._bus.publish("G1_LOW_CMD", output.command)
+        self.seen = (state, output.status)
+        self._tick += 1
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def play(library: SkillLibrary, trial: MotionTrial) -> Iterator[Sample]:
+    """Play a trial; every tick from the release of the robot on, time below 0 before the request.
+
+    Args:
+        library: The skills.
+        trial: What to do.
+
+    Raises:
+        SimError: A setting is impossible.
+    """
+    clock = SimClock(SIM_EPOCH_UTIME)
+    hub = MemqHub(trial.seed)
+    config = PlantConfig(
+        mass_scale=trial.mass_scale, friction=trial.friction, noise=trial.noise, seed=trial.seed
+    )
+    sim = SimNode(hub.endpoint("sim", clock), config)
+    driver = _Driver(hub.endpoint("control", clock), ControlCore(library))
+    scheduler = Lockstep(clock, (sim, driver))
+    asked_utime = clock.utime() + round(STAND_S * 1e6)
+    plant = sim.plant
+    body = plant.model.body(PUSHED_BODY).id
+    while clock.utime() < asked_utime + round(trial.seconds * 1e6):
+        if clock.utime() == asked_utime and trial.skill != "stand":
+            driver.requests.append(_request(trial, asked_utime))
+        time_s = (clock.utime() - asked_utime) * 1e-6
+        plant.data.xfrc_applied[body, :2] = _force(trial.push, time_s)
+        scheduler.run_until(clock.utime() + TICK_US)
+        if driver.seen is not None and driver.seen[0] is not None:
+            qpos, qvel = plant.data.qpos.copy(), plant.data.qvel.copy()
+            yield Sample(time_s + TICK_US * 1e-6, *driver.seen, qpos, qvel)
+
+
+def _request(trial: MotionTrial, utime: int) -> Any:
+    msg = skill_request_t()
+    msg.request_id, msg.skill, msg.start_utime = 1, trial.skill, utime
+    msg.phase_rate = 1.0
+    msg.velocity = trial.velocity
+    return msg
+
+
+def _force(push: Push | None, time_s: float) -> tuple[float, float]:
+    """Return the force on the torso during the tick that begins now, x and y [N]."""
+    if push is None or not push.start_s <= time_s < push.start_s + PUSH_S - 1e-9:
+        return 0.0, 0.0
+    force = push.impulse_n_s / PUSH_S
+    return force * math.cos(push.direction_rad), force * math.sin(push.direction_rad)
