@@ -276,7 +276,7 @@ def _are_usable(quat: Sequence[float], *others: Sequence[float]) -> bool:
         return False
     # A sum of squares is NaN or inf if any number is.
     limit = LARGEST_INPUT * LARGEST_INPUT
-    return all([sum([v * v for v in values]) < limit for values in others])
+    return all(sum([v * v for v in values]) < limit for values in others)
 
 
 def _length(value: object) -> int:

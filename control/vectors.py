@@ -1,4 +1,4 @@
-"""Three numbers and rotations in plain floats: for single vectors in the tick, faster than numpy."""
+"""Vectors and rotations in plain floats: for single ones, in the tick, faster than numpy."""
 
 from __future__ import annotations
 

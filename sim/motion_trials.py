@@ -59,6 +59,9 @@ class MotionTrial:
         friction: Of the soles.
         seed: Of the noise.
         velocity: vx, vy [m/s], yaw rate [rad/s], for locomotion.
+        phase_rate: Skill seconds per second.
+        then: A second skill, asked for `then_s` after the first; empty: none.
+        then_s: [s].
         push: None: nobody pushes.
         noise: Of the sensors.
     """
@@ -69,6 +72,9 @@ class MotionTrial:
     friction: float = 0.6
     seed: int = 0
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    phase_rate: float = 1.0
+    then: str = ""
+    then_s: float = 6.0
     push: Push | None = None
     noise: NoiseConfig = field(default_factory=NoiseConfig)
 
@@ -142,9 +148,9 @@ def play(library: SkillLibrary, trial: MotionTrial) -> Iterator[Sample]:
     asked_utime = clock.utime() + round(STAND_S * 1e6)
     plant = sim.plant
     body = plant.model.body(PUSHED_BODY).id
+    requests = _requests(trial, asked_utime)
     while clock.utime() < asked_utime + round(trial.seconds * 1e6):
-        if clock.utime() == asked_utime and trial.skill != "stand":
-            driver.requests.append(_request(trial, asked_utime))
+        driver.requests += requests.pop(clock.utime(), [])
         time_s = (clock.utime() - asked_utime) * 1e-6
         plant.data.xfrc_applied[body, :2] = _force(trial.push, time_s)
         scheduler.run_until(clock.utime() + TICK_US)
@@ -153,12 +159,19 @@ def play(library: SkillLibrary, trial: MotionTrial) -> Iterator[Sample]:
             yield Sample(time_s + TICK_US * 1e-6, *driver.seen, qpos, qvel)
 
 
-def _request(trial: MotionTrial, utime: int) -> Any:
-    msg = skill_request_t()
-    msg.request_id, msg.skill, msg.start_utime = 1, trial.skill, utime
-    msg.phase_rate = 1.0
-    msg.velocity = trial.velocity
-    return msg
+def _requests(trial: MotionTrial, utime: int) -> dict[int, list[Any]]:
+    """Return what is asked for and when [us]; stand needs no asking."""
+    asked: dict[int, list[Any]] = {}
+    wanted = ((trial.skill, utime), (trial.then, utime + round(trial.then_s * 50) * TICK_US))
+    for number, (skill, when) in enumerate(wanted, 1):
+        if skill in ("", "stand"):
+            continue
+        msg = skill_request_t()
+        msg.request_id, msg.skill, msg.start_utime = number, skill, when
+        msg.phase_rate = trial.phase_rate
+        msg.velocity = trial.velocity
+        asked[when] = [msg]
+    return asked
 
 
 def _force(push: Push | None, time_s: float) -> tuple[float, float]:
