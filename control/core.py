@@ -14,14 +14,15 @@ from typing import Any, cast
 import numpy as np
 
 from downbeat.catalog.robot import load_g1
-from downbeat.control import faults
 from downbeat.control.director import Director, Frame
-from downbeat.control.faults import Reaction
+from downbeat.control.estimate import NO_ESTIMATE, Estimate, StateEstimator
+from downbeat.control.faults import FAULTS, Reaction
 from downbeat.control.observation import RobotState, tilt
 from downbeat.control.policy import SkillLibrary
 from downbeat.control.requests import StatusChange
-from downbeat.control.safety import RaisedFault, SafetyMonitor
+from downbeat.control.safety import Measured, RaisedFault, SafetyMonitor
 from downbeat.control.skill import F32, JointTargets
+from downbeat.control.snapshot import from_bytes, to_bytes
 from downbeat.lcm_types import (
     control_status_t,
     estop_t,
@@ -47,10 +48,11 @@ class TickInput:
         utime: [us] of the tick, a multiple of 20 ms.
         tick: Tick number.
         state: The newest valid G1_LOW_STATE, None before the first.
-        state_age_us: Its age [us].
+        state_age_us: Its age [us]; negative if it is stamped in the future.
         requests: New skill requests, in order.
         operator: New operator commands, in order.
         estops: New emergency stop messages, in order.
+        foreign_states: Messages of a second publisher on G1_LOW_STATE so far.
     """
 
     utime: int
@@ -60,6 +62,7 @@ class TickInput:
     requests: tuple[skill_request_t, ...] = ()
     operator: tuple[operator_command_t, ...] = ()
     estops: tuple[estop_t, ...] = ()
+    foreign_states: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +72,8 @@ class TickOutput:
     command: g1_low_cmd_t
     status: control_status_t
     changes: list[StatusChange]
+    tripped: bool = False
+    """The robot went to damping or emergency stop in this tick."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,25 +82,34 @@ class CoreConfig:
 
     Attributes:
         auto_arm: In simulation, move to the start pose and stand without an operator.
+        fallback: The skill that catches a fall (docs/safety.md has the measurement).
     """
 
     auto_arm: bool = True
+    fallback: str = "stand"
 
 
 class ControlCore:
     """Modes and safety around the director."""
 
     def __init__(self, library: SkillLibrary, config: CoreConfig | None = None) -> None:
+        """Prepare the core.
+
+        Raises:
+            ControlError: The fallback skill is not in the library.
+        """
         self.config = config or CoreConfig()
+        self.library = library
         self.mode: int = control_status_t.ZERO_TORQUE
-        self.director = Director(library)
+        self.director = Director(library, self.config.fallback)
         self.safety = SafetyMonitor()
+        self.estimator = StateEstimator()
         self.fault: RaisedFault | None = None
         self._armed = False
-        self._latched = False
         self._latched_fault: RaisedFault | None = None
         self._move_from: F32 | None = None
         self._move_start_utime = 0
+        self._tripped = False
         robot = load_g1()
         self._default_pos = np.asarray(robot.default_joint_pos, np.float32)  # (29,)
         self._stiffness = np.asarray(robot.joint_stiffness, np.float32)  # (29,)
@@ -103,26 +117,46 @@ class ControlCore:
 
     def tick(self, inputs: TickInput) -> TickOutput:
         """Advance by one tick of 20 ms."""
-        state = None if inputs.state is None else robot_state(inputs.state)
-        self.fault = self._latched_fault if self._latched else None
+        self.fault = self._latched_fault
+        self._tripped = False
+        state, estimate = self._sense(inputs)
         self._take_operator(inputs)
-        self._take_estops(inputs)
-        motor_fault = None if inputs.state is None else np.asarray(inputs.state.motor_fault)
-        for raised in self.safety.check_state(state, inputs.state_age_us, motor_fault):
-            self._raise(raised)
+        self._watch_state(inputs, state, estimate)
+        on_hardware = (
+            inputs.state is not None and inputs.state.source == g1_low_state_t.SOURCE_HARDWARE
+        )
         for request in inputs.requests:
-            self.director.book.receive(request, inputs.utime, inputs.tick)
+            self.director.receive(request, inputs.utime, inputs.tick, on_hardware)
         frame, targets = self._act(inputs, state)
         command = self._command(inputs, targets)
-        status = self._status(inputs, state, frame, command)
+        status = self._status(inputs, state, estimate, frame, command)
         self.director.end_tick(inputs.utime)
-        return TickOutput(command, status, self.director.book.take_changes())
+        changes = self.director.book.take_changes()
+        return TickOutput(command, status, changes, self._tripped)
+
+    def _sense(self, inputs: TickInput) -> tuple[RobotState | None, Estimate]:
+        """Return the measured and estimated state of the robot."""
+        msg = inputs.state
+        if msg is None:
+            return None, NO_ESTIMATE
+        imu = msg.imu_pelvis
+        quat, gyro = np.asarray(imu.quat, np.float32), np.asarray(imu.gyro, np.float32)
+        pos, vel = np.asarray(msg.joint_pos, np.float32), np.asarray(msg.joint_vel, np.float32)
+        accel = np.asarray(imu.accel, np.float32)
+        estimate = self.estimator.update(
+            quat.tolist(), gyro.tolist(), accel.tolist(), pos.tolist(), vel.tolist()
+        )
+        lin_vel = base_pos = None
+        if math.isfinite(estimate.support_margin):
+            lin_vel = np.array(estimate.base_lin_vel, np.float32)
+            base_pos = np.array(estimate.base_pos, np.float32)
+        return RobotState(quat, gyro, pos, vel, lin_vel, base_pos), estimate
 
     def _act(
         self, inputs: TickInput, state: RobotState | None
     ) -> tuple[Frame | None, JointTargets | None]:
         """Return what was played and the targets to send; None for a passive robot."""
-        if state is None or self._latched:
+        if state is None or self._latched_fault is not None:
             return None, None
         self._maybe_arm(inputs)
         if self.mode == control_status_t.MOVE_TO_POSE:
@@ -133,22 +167,39 @@ class ControlCore:
         frame = self.director.play(state, inputs.utime)
         if frame is None:
             return None, None
+        raised = self.safety.judge_policy(frame.parts)
+        if raised:
+            frame = self._replace_policy(raised, state, inputs.utime)
+            if frame is None:
+                return None, None
         self.mode = self.director.mode
-        for name, part in frame.parts:
-            for raised in self.safety.check_policy(part.obs, part.targets.joint_pos, name):
-                self._raise(raised)
-        return frame, None if self._latched else frame.targets
+        return frame, frame.targets
+
+    def _replace_policy(
+        self, raised: list[RaisedFault], state: RobotState, now: int
+    ) -> Frame | None:
+        """A skill computed what must not be sent: let the balance policy act in the same tick."""
+        for fault in raised:
+            self._react(fault, state, now)
+        if self._latched_fault is not None:
+            return None
+        frame = self.director.play(state, now)
+        again = self.safety.judge_policy(frame.parts) if frame is not None else raised
+        if again and frame is not None:
+            for fault in self.safety.refuse_fallback(again[0].text):
+                self._react(fault, state, now)
+            return None
+        return frame
 
     # ------------------------------------------------------------------ modes and safety
 
     def _take_operator(self, inputs: TickInput) -> None:
         for msg in inputs.operator:
-            if msg.command == operator_command_t.ARM and not self._latched:
+            if msg.command == operator_command_t.ARM and self._latched_fault is None:
                 self._armed = True
             elif msg.command == operator_command_t.DISARM:
                 self._go_passive("the operator disarmed", control_status_t.DAMPING)
-            elif msg.command == operator_command_t.CLEAR_TRIP and self._latched:
-                self._latched = False
+            elif msg.command == operator_command_t.CLEAR_TRIP and self._latched_fault is not None:
                 self.fault = self._latched_fault = None
                 self.safety.reset()
                 self._go_passive("the trip was cleared", control_status_t.DAMPING)
@@ -159,14 +210,28 @@ class ControlCore:
         self.director.stop(reason)
         self.mode = mode
 
-    def _take_estops(self, inputs: TickInput) -> None:
-        for msg in inputs.estops:
-            if msg.level != estop_t.CLEAR:
-                who = f"{msg.source or 'somebody'}: {msg.reason or 'no reason given'}"
-                self._raise(RaisedFault(faults.ESTOP, faults.ESTOP.message.format(who)))
+    def _watch_state(self, inputs: TickInput, state: RobotState | None, estimate: Estimate) -> None:
+        """Apply the fault table to what was measured."""
+        limits = self.director.limits
+        falling = None
+        measured = Measured(
+            utime=inputs.utime,
+            msg=inputs.state,
+            state=state,
+            state_age_us=inputs.state_age_us,
+            foreign_states=inputs.foreign_states,
+            falling_m=falling if self.director.playback is not None else None,
+            estop=_estop_text(inputs.estops),
+        )
+        wants_stand = ""
+        for raised in self.safety.judge_state(measured, limits):
+            self._react(raised, state, inputs.utime)
+            if raised.fault.reaction == Reaction.STAND:
+                wants_stand = wants_stand or raised.text
+        self.director.close(wants_stand)
 
-    def _raise(self, raised: RaisedFault) -> None:
-        """Apply the table; the hardest reaction is the one that is reported."""
+    def _react(self, raised: RaisedFault, state: RobotState | None, now: int) -> None:
+        """Apply one raised row; the hardest reaction is the one that is reported."""
         reaction = raised.fault.reaction
         if self.fault is None or reaction > self.fault.fault.reaction:
             self.fault = raised
@@ -175,13 +240,15 @@ class ControlCore:
             self._trip(raised, control_status_t.ESTOP)
         elif reaction == Reaction.DAMPING and active:
             self._trip(raised, control_status_t.DAMPING)
+        elif reaction == Reaction.FALLBACK and state is not None and active:
+            self.director.fall_back(raised.text, state, now)
 
     def _trip(self, raised: RaisedFault, mode: int) -> None:
         latched = self._latched_fault
         if latched is None or raised.fault.reaction > latched.fault.reaction:
             self._latched_fault = raised
+            self._tripped = True
             self._go_passive(raised.text, mode)
-        self._latched = True
 
     def _maybe_arm(self, inputs: TickInput) -> None:
         """Leave ZERO_TORQUE or DAMPING once armed (in simulation: by itself, once)."""
@@ -195,6 +262,7 @@ class ControlCore:
             self.mode = control_status_t.MOVE_TO_POSE
             self._move_from = np.array(inputs.state.joint_pos, np.float32)
             self._move_start_utime = inputs.utime
+            self.estimator.reset()
 
     def _move_to_pose(self, inputs: TickInput, state: RobotState) -> JointTargets | None:
         """Interpolate to the default pose; a held pose does not stand, so stand takes over."""
@@ -209,6 +277,39 @@ class ControlCore:
         share = np.float32(elapsed_s / duration_s)
         pose = start + share * (self._default_pos - start)  # (29,)
         return JointTargets(pose, self._stiffness, self._damping)
+
+    # ------------------------------------------------------------------ snapshot
+
+    def snapshot(self) -> bytes:
+        """Return everything the next tick depends on, between two ticks."""
+        return to_bytes(
+            {
+                "mode": self.mode,
+                "armed": self._armed,
+                "latched": _fault_state(self._latched_fault),
+                "move_from": self._move_from,
+                "move_start_utime": self._move_start_utime,
+                "safety": self.safety.to_state(),
+                "estimator": self.estimator.state,
+                "director": self.director.to_state(),
+            }
+        )
+
+    def restore(self, data: bytes) -> None:
+        """Continue exactly where `snapshot` was taken; the same library must be loaded.
+
+        Raises:
+            ControlError: The bytes are not a snapshot, or play a skill that is not loaded.
+        """
+        state = from_bytes(data, self.library)
+        self.mode = state["mode"]
+        self._armed = state["armed"]
+        self._latched_fault = _fault_from(state["latched"])
+        self._move_from = state["move_from"]
+        self._move_start_utime = state["move_start_utime"]
+        self.safety.from_state(state["safety"])
+        self.estimator.state = state["estimator"]
+        self.director.from_state(state["director"])
 
     # ------------------------------------------------------------------ output
 
@@ -228,6 +329,7 @@ class ControlCore:
         self,
         inputs: TickInput,
         state: RobotState | None,
+        estimate: Estimate,
         frame: Frame | None,
         command: g1_low_cmd_t,
     ) -> control_status_t:
@@ -235,7 +337,7 @@ class ControlCore:
         status.header.utime = inputs.utime
         status.tick = inputs.tick
         status.mode = self.mode
-        status.state_age_us = min(inputs.state_age_us, 2**31 - 1)
+        status.state_age_us = max(min(inputs.state_age_us, 2**31 - 1), -(2**31))
         if inputs.state is not None:
             status.state_seq = inputs.state.header.seq
             status.input_hash = hash64(inputs.state.joint_pos, inputs.state.joint_vel)
@@ -247,22 +349,31 @@ class ControlCore:
             command.joint_pos_target, command.joint_stiffness, command.joint_damping
         )
         status.tilt = 0.0 if state is None else float(tilt(state.base_quat_wxyz))
-        status.base_height = math.nan
-        status.support_margin = math.nan
+        status.base_height = estimate.base_height
+        status.support_margin = estimate.support_margin
         if self.fault is not None:
             status.fault = self.fault.fault.id
             status.fault_text = self.fault.text
         return status
 
 
-def robot_state(msg: g1_low_state_t) -> RobotState:
-    """Return what the observation terms need from a message (float32, motor order)."""
-    return RobotState(
-        np.asarray(msg.imu_pelvis.quat, np.float32),
-        np.asarray(msg.imu_pelvis.gyro, np.float32),
-        np.asarray(msg.joint_pos, np.float32),
-        np.asarray(msg.joint_vel, np.float32),
-    )
+def _estop_text(estops: tuple[estop_t, ...]) -> str:
+    """Return who asked for an emergency stop and why; empty: nobody."""
+    for msg in estops:
+        if msg.level != estop_t.CLEAR:
+            return f"{msg.source or 'somebody'}: {msg.reason or 'no reason given'}"
+    return ""
+
+
+def _fault_state(raised: RaisedFault | None) -> list[Any] | None:
+    return None if raised is None else [raised.fault.id, raised.text]
+
+
+def _fault_from(state: list[Any] | None) -> RaisedFault | None:
+    if state is None:
+        return None
+    rows = {row.id: row for row in FAULTS}
+    return RaisedFault(rows[state[0]], state[1])
 
 
 def hash64(*arrays: object) -> int:

@@ -3,24 +3,42 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from downbeat.control.errors import ControlError
 from downbeat.control.observation import RobotState
 from downbeat.control.phase import TICK_US, PhaseLine
 from downbeat.control.player import Blend, Playback, heading_of, mix, start_playback
 from downbeat.control.policy import SkillLibrary
 from downbeat.control.requests import Request, RequestBook
+from downbeat.control.safety import looser
 from downbeat.control.skill import JointTargets, SkillOutput
 from downbeat.control.transitions import Goal, Hop, half_us, next_hop, walk_stop_lead_us
-from downbeat.lcm_types import control_status_t, skill_status_t
+from downbeat.lcm_types import control_status_t, skill_request_t, skill_status_t
+from downbeat.policies.manifest import SkillLimits
+from downbeat.runtime.errors import one_of
 
+STATE_FIELDS = (
+    "playback",
+    "blend",
+    "_plan",
+    "_coming",
+    "_ends_utime",
+    "_alone_since_utime",
+    "_recovers_until_utime",
+    "_closed_reason",
+)
 OWN_SOURCE = -1
 """Source of requests that the director makes itself: back to stand."""
 RESUME_US = 2_500_000
 IDLE_STAND_US = 1_500_000
 """With nothing running, a gap this long before the next request is spent in stand."""
+RECOVERY_US = 1_500_000
+"""After a catch nothing else is tried for this long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +57,19 @@ class Frame:
 class Director:
     """Playback, blends and the request book; a pure state machine stepped once per tick."""
 
-    def __init__(self, library: SkillLibrary) -> None:
+    def __init__(self, library: SkillLibrary, fallback: str = "stand") -> None:
+        """Prepare an idle director.
+
+        Raises:
+            ControlError: The fallback skill is not in the library.
+        """
+        if fallback not in library:
+            raise ControlError(
+                f"The fallback skill '{fallback}' is unknown; skills are {one_of(library.names)} "
+                "(control: fallback)."
+            )
         self.library = library
+        self.fallback = fallback
         self.book = RequestBook(library.__contains__, library.names)
         self.playback: Playback | None = None
         self.blend: Blend | None = None
@@ -48,14 +77,67 @@ class Director:
         self._coming: Request | None = None
         self._ends_utime = 0
         self._alone_since_utime = 0
+        self._recovers_until_utime = 0
+        self._closed_reason = ""
 
     @property
     def mode(self) -> int:
         """The control mode that the skills in play amount to."""
+        if self._recovers_until_utime:
+            return control_status_t.FALLBACK
         if self.blend is not None:
             return control_status_t.TRANSITION
         standing = self.playback is None or self.playback.name == "stand"
         return control_status_t.STAND if standing else control_status_t.SKILL
+
+    @property
+    def limits(self) -> SkillLimits:
+        """What safety allows now: the skill's limits, during a blend the looser of the two."""
+        if self.playback is None:
+            return SkillLimits()
+        own = self.playback.skill.manifest.limits
+        if self.blend is None:
+            return own
+        return looser(own, self.blend.outgoing.skill.manifest.limits)
+
+    def receive(self, msg: skill_request_t, now: int, tick: int, on_hardware: bool) -> None:
+        """Take one SKILL_REQUEST; every answer is a status."""
+        if msg.operation in (skill_request_t.START, skill_request_t.REPLACE):
+            reason = self._closed_reason or self._uncertified(msg.skill, on_hardware)
+            if reason:
+                self.book.refuse(msg, now, tick, reason)
+                return
+        self.book.receive(msg, now, tick)
+
+    def _uncertified(self, name: str, on_hardware: bool) -> str:
+        if not on_hardware or name not in self.library:
+            return ""
+        certificate = self.library[name].manifest.certificate
+        if certificate is not None and certificate.passed:
+            return ""
+        return (
+            f"Skill '{name}' has no passed certificate and does not run on hardware; "
+            f"certify it with `downbeat policy certify {name} --write`."
+        )
+
+    def close(self, reason: str) -> None:
+        """End what runs the normal way and refuse skills, or (empty reason) open again."""
+        if reason and not self._closed_reason:
+            self.book.abort_all(reason)
+        self._closed_reason = reason
+
+    def fall_back(self, reason: str, state: RobotState, now: int) -> None:
+        """Drop everything: the fallback skill acts from this tick on, with a memory of its own."""
+        if self._recovers_until_utime and self.playback is not None:
+            return  # it is at work already
+        self.book.abort_all(reason)
+        self._coming = None
+        self._plan = ""
+        self.blend = None
+        self._recovers_until_utime = now + RECOVERY_US
+        hop = Hop(now, self.fallback, 0)
+        line = PhaseLine(now, 0.0, 1.0)
+        self.playback = start_playback(self.library[self.fallback], hop, line, state, now, 0)
 
     def start(self, state: RobotState, now: int) -> None:
         """Begin with the stand skill."""
@@ -70,6 +152,7 @@ class Director:
         self.blend = None
         self._coming = None
         self._plan = ""
+        self._recovers_until_utime = 0
 
     # ------------------------------------------------------------------ scheduling
 
@@ -79,6 +162,9 @@ class Director:
         playback = self.playback
         if playback is None:
             return
+        if self._recovers_until_utime > now:
+            return
+        self._recovers_until_utime = 0
         self._follow_retimes(playback)
         if self.blend is not None and self.blend.is_over:
             self.blend = None
@@ -180,6 +266,7 @@ class Director:
         self.book.say(request, state, phase_s=phase, onset_utime=now, plan=self._plan)
         self._coming = None
         self._plan = ""
+        self._recovers_until_utime = 0
 
     # ------------------------------------------------------------------ playing
 
@@ -220,3 +307,21 @@ class Director:
         if self.blend is not None:
             status.previous_skill = self.blend.outgoing.name
             status.blend_weight = float(np.clip(self.blend.weight, 0.0, 1.0))
+
+    # ------------------------------------------------------------------ snapshot
+
+    def to_state(self) -> dict[str, Any]:
+        """Return everything that is remembered between two ticks."""
+        return {
+            **{name: getattr(self, name) for name in STATE_FIELDS},
+            "pending": list(self.book.pending),
+            "active": self.book.active,
+        }
+
+    def from_state(self, values: Mapping[str, Any]) -> None:
+        """Restore what `to_state` returned."""
+        for name in STATE_FIELDS:
+            setattr(self, name, values[name])
+        self.book.pending = values["pending"]
+        self.book.active = values["active"]
+        self.book.changes = []

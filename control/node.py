@@ -61,7 +61,7 @@ class ControlNode:
 
     def _gather(self, utime: int) -> TickInput:
         latest = self._bus.latest("G1_LOW_STATE")
-        age_us = NEVER_US if latest is None else max(0, utime - latest.msg.header.utime)
+        age_us = NEVER_US if latest is None else utime - latest.msg.header.utime
         requests = self._bus.take("SKILL_REQUEST") + self._bus.take("OPERATOR_SKILL_REQUEST")
         return TickInput(
             utime=utime,
@@ -71,6 +71,7 @@ class ControlNode:
             requests=tuple(r.msg for r in requests),
             operator=tuple(r.msg for r in self._bus.take("OPERATOR_COMMAND")),
             estops=tuple(r.msg for r in self._bus.take("ESTOP")),
+            foreign_states=self._bus.counters.foreign_on("G1_LOW_STATE"),
         )
 
     def _publish_status(self, output: TickOutput) -> None:

@@ -56,6 +56,9 @@ class PhaseFollower:
     time. Skills without beats (gestures) only follow the rate.
     """
 
+    STATE = ("line", "duration_s", "beat_s", "limits", "loop", "rate", "phase_s")
+    """Everything it remembers, for the snapshot."""
+
     def __init__(
         self,
         line: PhaseLine,

@@ -88,6 +88,10 @@ class RequestBook:
         else:
             self._start(msg, now, tick)
 
+    def refuse(self, msg: skill_request_t, now: int, tick: int, reason: str) -> None:
+        """Answer a request that cannot be taken now."""
+        self.say(to_request(msg, now, tick), skill_status_t.REFUSED, reason=reason)
+
     def _start(self, msg: skill_request_t, now: int, tick: int) -> None:
         request = to_request(msg, now, tick)
         reason = self._refusal(msg, now)

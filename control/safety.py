@@ -1,7 +1,12 @@
-"""Watch the state and the action against the fault table."""
+"""Watches the state and the actions against the fault table.
+
+Everything here is a pure function of what the tick consumed and of the monitor's own counters.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,77 +14,259 @@ import numpy as np
 import numpy.typing as npt
 
 from downbeat.catalog.robot import load_g1
-from downbeat.control import faults as f
+from downbeat.control.faults import POLICY_FAULTS, STATE_FAULTS, Reaction
 from downbeat.control.observation import RobotState, tilt
-from downbeat.control.policy import F32
+from downbeat.control.skill import F32, SkillOutput
+from downbeat.lcm_types import g1_low_state_t
+from downbeat.policies.manifest import SkillLimits
+from downbeat.runtime.faults import Fault, FaultMonitor
 
 STATE_LATE_US = 30_000
-STATE_STALE_US = 100_000
-TILT_LIMIT_RAD = 0.8
-"""Skills bow by at most 0.3 rad; beyond 0.8 no policy of ours has come back."""
-RANGE_TOLERANCE_RAD = 0.15
-SPEED_TOLERANCE = 1.2
+STATE_STALE_US = 80_000
+"""Noticed at the next tick: damping goes out at most 100 ms after the last state."""
+STATE_AHEAD_US = 50_000
+CLOCK_STEP_US = 1_000_000
+MOTOR_WARM_C, MOTOR_HOT_C = 85, 105
+"""Of the winding. The vendor publishes no limit; motors of this kind are built for 120 to 130."""
+CASE_HOT_C = 90
+BATTERY_LOW, BATTERY_EMPTY = 0.20, 0.08
+REMOTE_LOST_TICKS = 150
+"""The vendor's wrapper calls 3 s of zeros lost."""
+TARGET_REACH = 2.0
+"""A target farther from the joint's range than this many times effort/kp saturates any motor."""
+TARGET_SLACK_RAD = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class RaisedFault:
     """A row of the table with what was measured."""
 
-    fault: f.Fault
+    fault: Fault[Reaction]
     text: str
 
 
-class SafetyMonitor:
-    """Counts, per fault, for how many ticks its condition has held.
+@dataclass(slots=True)
+class SafetyCounters:
+    """What the monitor remembers besides the hysteresis of the table.
 
-    Conditions are evaluated in a fixed order; `check_*` return the raised faults of this tick.
+    Attributes:
+        saturated_ticks: (29,) for how many ticks each joint has been at its torque limit.
+        last_utime: Of the previous tick [us]; 0 before the first.
+        foreign_states: Messages of a second publisher at the previous tick.
+        remote_seen: The remote has been heard.
+        remote_silent_ticks: Since it was last heard.
     """
 
+    saturated_ticks: npt.NDArray[np.int32]
+    last_utime: int = 0
+    foreign_states: int = 0
+    remote_seen: bool = False
+    remote_silent_ticks: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What one tick hands to the monitor.
+
+    Attributes:
+        utime: Of the tick [us].
+        msg: The newest state message, None before the first.
+        state: The same as arrays.
+        state_age_us: Its age [us], negative if it is stamped in the future.
+        foreign_states: Messages of a second publisher on G1_LOW_STATE so far.
+        falling_m: How far outside the soles the predicted fall is [m]; None: no fall is coming.
+        estop: Who asked for an emergency stop, empty: nobody.
+    """
+
+    utime: int
+    msg: g1_low_state_t | None
+    state: RobotState | None
+    state_age_us: int
+    foreign_states: int = 0
+    falling_m: float | None = None
+    estop: str = ""
+
+
+class SafetyMonitor:
+    """The fault table applied to what is measured."""
+
     def __init__(self) -> None:
-        self._held: dict[int, int] = {}
+        self._state = FaultMonitor(STATE_FAULTS)
+        self._policy = FaultMonitor(POLICY_FAULTS)
         robot = load_g1()
         self._names = robot.joint_names
         self._low = np.asarray(robot.joint_range[:, 0], np.float32)  # (29,)
         self._high = np.asarray(robot.joint_range[:, 1], np.float32)  # (29,)
-        self._speed = np.asarray(robot.velocity_limit, np.float32) * SPEED_TOLERANCE  # (29,)
+        self._speed = np.asarray(robot.velocity_limit, np.float32)  # (29,)
+        self._effort = np.asarray(robot.effort_limit, np.float32)  # (29,)
+        self.counters = SafetyCounters(np.zeros(len(self._names), np.int32))
 
-    def _hold(self, fault: f.Fault, condition: bool, value: object, out: list[RaisedFault]) -> None:
-        held = self._held.get(fault.id, 0) + 1 if condition else 0
-        self._held[fault.id] = held
-        if condition and held >= fault.raise_after_ticks:
-            out.append(RaisedFault(fault, fault.message.format(value)))
+    # ------------------------------------------------------------------ state
 
-    def check_state(
-        self, state: RobotState | None, state_age_us: int, motor_fault: npt.NDArray[Any] | None
-    ) -> list[RaisedFault]:
-        """Return the faults that the measured state raises this tick."""
-        out: list[RaisedFault] = []
-        age_ms = state_age_us // 1000
-        stale = state is None or state_age_us > STATE_STALE_US
-        self._hold(f.STATE_STALE, stale, age_ms, out)
-        self._hold(f.STATE_LATE, not stale and state_age_us > STATE_LATE_US, age_ms, out)
-        if state is None:
-            return out
+    def judge_state(self, measured: Measured, limits: SkillLimits) -> list[RaisedFault]:
+        """Return the faults that are active now, hardest first.
+
+        Args:
+            measured: Of this tick.
+            limits: Of the skill in play; during a blend the looser of the two.
+        """
+        found: dict[str, object] = {}
+        if measured.estop:
+            found["estop"] = measured.estop
+        self._judge_time(measured, found)
+        if measured.state is not None and measured.msg is not None:
+            self._judge_motion(measured.state, measured.msg, limits, found)
+            self._judge_body(measured.msg, limits, found)
+        if measured.falling_m is not None:
+            found["falling"] = f"{measured.falling_m:.2f}"
+        return self._raised(self._state, found)
+
+    def _judge_time(self, measured: Measured, found: dict[str, object]) -> None:
+        counters = self.counters
+        age = measured.state_age_us
+        if measured.state is None or age > STATE_STALE_US:
+            found["state_stale"] = age // 1000
+        elif age > STATE_LATE_US:
+            found["state_late"] = age // 1000
+        elif age < -STATE_AHEAD_US:
+            found["state_ahead"] = -age // 1000
+        step = measured.utime - counters.last_utime
+        if counters.last_utime and not 0 < step <= CLOCK_STEP_US:
+            found["clock_step"] = step // 1000
+        counters.last_utime = measured.utime
+        if measured.foreign_states > counters.foreign_states:
+            found["second_publisher"] = measured.foreign_states
+        counters.foreign_states = measured.foreign_states
+
+    def _judge_motion(
+        self,
+        state: RobotState,
+        msg: g1_low_state_t,
+        limits: SkillLimits,
+        found: dict[str, object],
+    ) -> None:
         lean = float(tilt(state.base_quat_wxyz))
-        self._hold(f.TILT, lean > TILT_LIMIT_RAD, f"{lean:.2f}", out)
-        beyond = np.maximum(self._low - state.joint_pos, state.joint_pos - self._high)  # (29,)
-        self._hold_joint(f.JOINT_RANGE, beyond - RANGE_TOLERANCE_RAD, out)
-        self._hold_joint(f.JOINT_SPEED, np.abs(state.joint_vel) - self._speed, out)
-        flags = np.zeros(len(self._names)) if motor_fault is None else motor_fault
-        self._hold_joint(f.MOTOR_FAULT, np.asarray(flags, np.float32), out)
-        return out
+        if not lean <= limits.tilt_rad:  # also catches a NaN
+            found["tilt"] = f"{lean:.2f}"
+        pos = state.joint_pos
+        beyond = np.maximum(self._low - pos, pos - self._high)  # (29,)
+        self._worst(found, "joint_range", beyond, limits.joint_range_tolerance_rad)
+        speed = np.abs(state.joint_vel) / self._speed
+        self._worst(found, "joint_speed", speed, limits.joint_speed_ratio)
+        torque = np.abs(np.asarray(msg.joint_torque_est)) >= limits.torque_ratio * self._effort
+        held = self.counters.saturated_ticks
+        held += 1
+        held *= torque
+        self._worst(found, "torque_saturated", held, limits.saturated_s * 50.0)
 
-    def _hold_joint(self, fault: f.Fault, excess: F32, out: list[RaisedFault]) -> None:
-        worst = int(np.argmax(excess))
-        self._hold(fault, bool(excess[worst] > 0.0), self._names[worst], out)
+    def _worst(
+        self, found: dict[str, object], name: str, values: npt.NDArray[Any], limit: float
+    ) -> None:
+        worst = int(values.argmax())
+        if not values[worst] <= limit:
+            found[name] = self._names[worst]
 
-    def check_policy(self, obs: F32, target: F32, skill: str) -> list[RaisedFault]:
-        """Return the faults of a policy's observation and of its joint position targets."""
-        out: list[RaisedFault] = []
-        self._hold(f.NON_FINITE_OBSERVATION, not bool(np.isfinite(obs).all()), skill, out)
-        self._hold(f.NON_FINITE_ACTION, not bool(np.isfinite(target).all()), skill, out)
-        return out
+    def _judge_body(
+        self, msg: g1_low_state_t, limits: SkillLimits, found: dict[str, object]
+    ) -> None:
+        self._worst(found, "motor_fault", np.asarray(msg.motor_fault), 0.0)
+        winding, case = np.asarray(msg.temperature_winding), np.asarray(msg.temperature_case)
+        self._worst(found, "motor_warm", winding, MOTOR_WARM_C)
+        self._worst(found, "motor_hot", np.maximum(winding, case + MOTOR_HOT_C - CASE_HOT_C), 105.0)
+        charge = msg.battery_soc
+        if charge < BATTERY_LOW:  # NaN, not known, compares false
+            found["battery_low"] = f"{100.0 * charge:.0f}"
+        if charge < BATTERY_EMPTY:
+            found["battery_empty"] = f"{100.0 * charge:.0f}"
+        if msg.source == g1_low_state_t.SOURCE_HARDWARE:
+            self._judge_remote(msg, found)
+
+    def _judge_remote(self, msg: g1_low_state_t, found: dict[str, object]) -> None:
+        counters = self.counters
+        if any(msg.wireless_remote):
+            counters.remote_seen = True
+            counters.remote_silent_ticks = 0
+        elif counters.remote_seen:
+            counters.remote_silent_ticks += 1
+            if counters.remote_silent_ticks > REMOTE_LOST_TICKS:
+                found["remote_lost"] = f"{counters.remote_silent_ticks / 50.0:.1f}"
+
+    # ------------------------------------------------------------------ policy
+
+    def judge_policy(self, parts: tuple[tuple[str, SkillOutput], ...]) -> list[RaisedFault]:
+        """Return the faults of what the skills in play computed, hardest first."""
+        found: dict[str, object] = {}
+        for name, part in parts:
+            if not _is_finite(part.obs):
+                found["non_finite_observation"] = name
+            target = part.targets
+            if not (
+                _is_finite(part.action)
+                and _is_finite(target.joint_pos)
+                and _is_finite(target.joint_stiffness)
+                and _is_finite(target.joint_damping)
+            ):
+                found["non_finite_action"] = name
+            elif self._is_out_of_reach(part):
+                found["action_range"] = name
+        return self._raised(self._policy, found)
+
+    def _is_out_of_reach(self, part: SkillOutput) -> bool:
+        """Whether a target lies where it cannot mean anything any more."""
+        targets = part.targets
+        reach = TARGET_REACH * self._effort / np.maximum(targets.joint_stiffness, 1.0)
+        reach += TARGET_SLACK_RAD
+        pos = targets.joint_pos
+        return bool((pos > self._high + reach).any() or (pos < self._low - reach).any())
+
+    def refuse_fallback(self, reason: str) -> list[RaisedFault]:
+        """Return the fault of a balance policy that cannot take over."""
+        return self._raised(self._policy, {"fallback_failed": reason})
+
+    # ------------------------------------------------------------------ hysteresis
+
+    @staticmethod
+    def _raised(monitor: FaultMonitor[Reaction], found: Mapping[str, object]) -> list[RaisedFault]:
+        return [
+            RaisedFault(row, row.message.format(found.get(row.name, "")))
+            for row in monitor.update(found)
+        ]
 
     def reset(self) -> None:
-        """Forget all counts (after CLEAR_TRIP)."""
-        self._held.clear()
+        """Forget all counts (after CLEAR_TRIP); the time and the remote stay known."""
+        self._state.reset()
+        self._policy.reset()
+        self.counters.saturated_ticks[:] = 0
+
+    def to_state(self) -> dict[str, Any]:
+        """Return what is remembered."""
+        return {
+            "state": self._state.to_state(),
+            "policy": self._policy.to_state(),
+            "counters": self.counters,
+        }
+
+    def from_state(self, values: Mapping[str, Any]) -> None:
+        """Restore what `to_state` returned."""
+        self._state.from_state(values["state"])
+        self._policy.from_state(values["policy"])
+        self.counters = values["counters"]
+
+
+def looser(a: SkillLimits, b: SkillLimits) -> SkillLimits:
+    """Return the looser of two skills' limits: what a blend between them may do."""
+    margins = (a.support_margin_m, b.support_margin_m)
+    margin = None if None in margins else min(m for m in margins if m is not None)
+    return SkillLimits(
+        tilt_rad=max(a.tilt_rad, b.tilt_rad),
+        joint_range_tolerance_rad=max(a.joint_range_tolerance_rad, b.joint_range_tolerance_rad),
+        joint_speed_ratio=max(a.joint_speed_ratio, b.joint_speed_ratio),
+        torque_ratio=max(a.torque_ratio, b.torque_ratio),
+        saturated_s=max(a.saturated_s, b.saturated_s),
+        support_margin_m=margin,
+    )
+
+
+def _is_finite(values: F32) -> bool:
+    # A sum is finite only if every term is, unless it overflows, which is no better.
+    return math.isfinite(float(values.sum()))

@@ -7,7 +7,7 @@ row by row.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Generic, TypeVar
@@ -128,6 +128,7 @@ class FaultMonitor(Generic[ReactionT]):
         self._held: dict[str, int] = dict.fromkeys(table.names, 0)
         self._gone: dict[str, int] = dict.fromkeys(table.names, 0)
         self._active: dict[str, bool] = dict.fromkeys(table.names, False)
+        self._is_busy = False
 
     def update(self, conditions: Collection[str]) -> tuple[Fault[ReactionT], ...]:
         """Take the conditions of one tick.
@@ -141,6 +142,8 @@ class FaultMonitor(Generic[ReactionT]):
         Raises:
             FaultTableError: A name is not in the table.
         """
+        if not conditions and not self._is_busy:
+            return ()  # the common tick costs nothing
         for name in conditions:
             self._table.named(name)
         for row in self._table:
@@ -151,6 +154,7 @@ class FaultMonitor(Generic[ReactionT]):
                 self._active[row.name] = True
             elif self._gone[row.name] >= row.clear_after_ticks and not row.latched:
                 self._active[row.name] = False
+        self._is_busy = any(self._active.values()) or any(self._held.values())
         return self.active
 
     @property
@@ -163,3 +167,30 @@ class FaultMonitor(Generic[ReactionT]):
         for row in self._table:
             if row.latched and self._held[row.name] == 0:
                 self._active[row.name] = False
+
+    def reset(self) -> None:
+        """Forget everything, latched faults too."""
+        for name in self._table.names:
+            self._held[name] = self._gone[name] = 0
+            self._active[name] = False
+        self._is_busy = False
+
+    def to_state(self) -> dict[str, list[int]]:
+        """Return the counters by fault name: held, gone, active; only those that are not zero."""
+        return {
+            name: [self._held[name], self._gone[name], int(self._active[name])]
+            for name in self._table.names
+            if self._held[name] or self._gone[name] or self._active[name]
+        }
+
+    def from_state(self, values: Mapping[str, Sequence[int]]) -> None:
+        """Restore what `to_state` returned.
+
+        Raises:
+            FaultTableError: A name is not in the table.
+        """
+        self.reset()
+        for name, (held, gone, active) in values.items():
+            self._table.named(name)
+            self._held[name], self._gone[name], self._active[name] = held, gone, bool(active)
+        self._is_busy = bool(values)

@@ -28,6 +28,8 @@ class Rig:
         state.header.utime = self.now
         state.imu_pelvis.quat = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
         state.imu_pelvis.gyro = np.zeros(3, np.float32)
+        state.imu_pelvis.accel = np.array([0.0, 0.0, 9.81], np.float32)
+        state.battery_soc = float("nan")
         state.joint_pos = np.asarray(load_g1().default_joint_pos, np.float32)
         state.joint_vel = np.zeros(29, np.float32)
         state.motor_fault = np.zeros(29, np.int32)

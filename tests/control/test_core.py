@@ -5,6 +5,7 @@ import pytest
 from control_rig import Rig
 
 from downbeat.control import faults
+from downbeat.control.errors import ControlError
 from downbeat.lcm_types import (
     control_status_t,
     estop_t,
@@ -48,7 +49,7 @@ def test_estop_damps_at_once_and_stays_until_cleared(rig):
     output = rig.tick(estops=(estop(),))
     assert output.command.mode == g1_low_cmd_t.MODE_DAMPING
     assert output.status.mode == control_status_t.ESTOP
-    assert output.status.fault == faults.ESTOP.id
+    assert output.status.fault == ROWS["estop"].id
     rig.run(0.5)
     assert rig.log[-1].command.mode == g1_low_cmd_t.MODE_DAMPING
     rig.tick(operator=(operator(operator_command_t.ARM),))
@@ -67,57 +68,158 @@ def test_estop_aborts_what_runs_and_what_waits(rig):
     assert rig.states_of(2)[-1] == "ABORTED"
 
 
-@pytest.mark.parametrize(
-    ("fault", "spoil"),
-    [
-        (faults.STATE_STALE, {"age_us": 150_000}),
-        (faults.TILT, {"quat": (0.8, 0.6, 0.0, 0.0)}),
-        (faults.NON_FINITE_OBSERVATION, {"gyro": np.nan}),
-        (faults.JOINT_RANGE, {"joint": 3.5}),
-        (faults.JOINT_SPEED, {"speed": 120.0}),
-        (faults.MOTOR_FAULT, {"motor": 4}),
-    ],
-)
-def test_fault_leads_to_damping_and_is_latched(rig, fault, spoil):
-    for _ in range(fault.raise_after_ticks):
-        state = rig.state()
-        if "quat" in spoil:
-            state.imu_pelvis.quat = np.array(spoil["quat"], np.float32)
-        if "gyro" in spoil:
-            state.imu_pelvis.gyro = np.full(3, spoil["gyro"], np.float32)
-        if "joint" in spoil:
-            state.joint_pos[3] = spoil["joint"]
-        if "speed" in spoil:
-            state.joint_vel[3] = spoil["speed"]
-        if "motor" in spoil:
-            state.motor_fault[7] = spoil["motor"]
-        output = rig.tick(state=state, age_us=spoil.get("age_us", 0))
+DAMPING_CASES = {
+    "state_stale": {"age_us": 90_000},
+    "state_ahead": {"age_us": -200_000},
+    "tilt": {"quat": (0.8, 0.6, 0.0, 0.0)},
+    "joint_range": {"joint": 3.5},
+    "joint_speed": {"speed": 120.0},
+    "motor_fault": {"motor": 4},
+    "motor_hot": {"winding": 110},
+    "battery_empty": {"charge": 0.03},
+    "second_publisher": {"foreign": True},
+}
+STAND_CASES = {
+    "motor_warm": {"winding": 90},
+    "battery_low": {"charge": 0.15},
+    "torque_saturated": {"torque": 500.0},
+}
+ROWS = {row.name: row for row in faults.FAULTS}
+
+
+def spoiled(rig, spoil):
+    state = rig.state()
+    if "quat" in spoil:
+        state.imu_pelvis.quat = np.array(spoil["quat"], np.float32)
+    if "joint" in spoil:
+        state.joint_pos[3] = spoil["joint"]
+    if "speed" in spoil:
+        state.joint_vel[3] = spoil["speed"]
+    if "torque" in spoil:
+        state.joint_torque_est[3] = spoil["torque"]
+    if "motor" in spoil:
+        state.motor_fault[7] = spoil["motor"]
+    if "winding" in spoil:
+        state.temperature_winding[7] = spoil["winding"]
+    if "charge" in spoil:
+        state.battery_soc = spoil["charge"]
+    return state
+
+
+@pytest.mark.parametrize("name", DAMPING_CASES)
+def test_fault_leads_to_damping_and_is_latched(rig, name):
+    spoil, fault = DAMPING_CASES[name], ROWS[name]
+    for k in range(fault.raise_after_ticks):
+        output = rig.tick(
+            state=spoiled(rig, spoil),
+            age_us=spoil.get("age_us", 0),
+            foreign_states=k + 1 if "foreign" in spoil else 0,
+        )
     assert output.status.fault == fault.id, output.status.fault_text
     assert output.command.mode == g1_low_cmd_t.MODE_DAMPING
     rig.run(0.2)
     assert rig.log[-1].command.mode == g1_low_cmd_t.MODE_DAMPING
 
 
+@pytest.mark.parametrize("name", STAND_CASES)
+def test_fault_ends_the_dance_in_stand_and_refuses_others(rig, name):
+    rig.tick(requests=(rig.request("kpop"),))
+    rig.run(1.5)
+    assert rig.log[-1].status.skill == "kpop"
+    for _ in range(120):
+        output = rig.tick(state=spoiled(rig, STAND_CASES[name]))
+    assert output.status.fault == ROWS[name].id
+    assert output.status.skill == "stand"
+    assert output.command.mode == g1_low_cmd_t.MODE_POSITION
+    assert rig.states_of(1)[-1] == "ABORTED"
+    rig.tick(state=spoiled(rig, STAND_CASES[name]), requests=(rig.request("wave"),))
+    assert rig.states_of(2)[-1] == "REFUSED"
+    rig.run(11.0)
+    rig.tick(requests=(rig.request("wave"),))
+    rig.run(2.0)
+    assert rig.log[-1].status.skill == "wave"
+
+
+def test_time_that_steps_leads_to_damping(rig):
+    rig.now += 5_000_000
+    assert rig.tick().status.fault == ROWS["clock_step"].id
+    assert rig.log[-1].command.mode == g1_low_cmd_t.MODE_DAMPING
+
+
+def test_lost_remote_leads_to_damping_on_hardware(library):
+    rig = Rig(library)
+
+    def tick(remote):
+        state = rig.state()
+        state.source = 1
+        state.wireless_remote = bytes(40) if not remote else bytes([1] * 40)
+        return rig.tick(state=state, operator=inputs)
+
+    inputs = (operator(operator_command_t.ARM),)
+    tick(True)
+    inputs = ()
+    for _ in range(145):
+        assert tick(False).command.mode == g1_low_cmd_t.MODE_POSITION
+    for _ in range(10):
+        output = tick(False)
+    assert output.status.fault == ROWS["remote_lost"].id
+    assert output.command.mode == g1_low_cmd_t.MODE_DAMPING
+
+
 def test_late_state_is_reported_but_the_dance_goes_on(rig):
     output = rig.tick(age_us=50_000)
-    assert output.status.fault == faults.STATE_LATE.id
+    assert output.status.fault == ROWS["state_late"].id
     assert output.command.mode == g1_low_cmd_t.MODE_POSITION
 
 
-def test_non_finite_action_never_reaches_a_motor(rig):
-    class Broken:
-        def __init__(self, skill):
-            self.manifest = skill.manifest
-            self._skill = skill
+class Broken:
+    """A skill whose targets are spoiled."""
 
-        def step(self, memory, state, phase_s, command):
-            output = self._skill.step(memory, state, phase_s, command)
-            output.targets.joint_pos[5] = np.nan
-            return output
+    def __init__(self, skill, value):
+        self.manifest = skill.manifest
+        self._skill, self._value = skill, value
 
-    rig.core.director.playback.skill = Broken(rig.core.director.playback.skill)
+    def begin(self, state, phase_s):
+        return self._skill.begin(state, phase_s)
+
+    def step(self, memory, state, phase_s, command):
+        output = self._skill.step(memory, state, phase_s, command)
+        output.targets.joint_pos[5] = self._value
+        return output
+
+
+@pytest.mark.parametrize(
+    ("value", "name"),
+    [
+        (np.nan, "non_finite_action"),
+        (np.inf, "non_finite_action"),
+        (1e9, "action_range"),
+        (-1e9, "action_range"),
+    ],
+)
+def test_bad_action_is_never_sent_and_the_robot_stands(rig, value, name):
+    rig.tick(requests=(rig.request("kpop"),))
+    rig.run(1.5)
+    playback = rig.core.director.playback
+    playback.skill = Broken(playback.skill, value)
     output = rig.tick()
-    assert output.status.fault == faults.NON_FINITE_ACTION.id
+    assert output.status.fault == ROWS[name].id
+    assert output.status.mode == control_status_t.FALLBACK
+    assert output.command.mode == g1_low_cmd_t.MODE_POSITION
+    assert np.abs(output.command.joint_pos_target).max() < 3.0
+    assert rig.states_of(1)[-1] == "ABORTED"
+    rig.run(2.0)
+    assert rig.log[-1].status.mode == control_status_t.STAND
+
+
+def test_broken_balance_policy_leads_to_damping(rig, monkeypatch):
+    playback = rig.core.director.playback
+    library = rig.core.director.library
+    playback.skill = Broken(playback.skill, np.nan)
+    broken = {**library._skills, "stand": Broken(library["stand"], np.nan)}
+    monkeypatch.setattr(library, "_skills", broken)
+    output = rig.tick()
+    assert output.status.fault == ROWS["fallback_failed"].id
     assert output.command.mode == g1_low_cmd_t.MODE_DAMPING
     assert np.isfinite(output.command.joint_pos_target).all()
 
@@ -303,3 +405,42 @@ def test_same_inputs_give_the_same_bits(library):
         return [(o.status.obs_hash, o.status.action_hash, o.status.command_hash) for o in rig.log]
 
     assert play() == play()
+
+
+@pytest.mark.parametrize("after_s", [0.1, 0.8, 1.06, 2.3, 3.1])
+def test_snapshot_restores_control_exactly(library, after_s):
+    """A restored core and the original answer the same inputs with the same bits."""
+    rig = Rig(library)
+    rig.run(0.2)
+    rig.tick(requests=(rig.request("kpop", 0.5), rig.request("zombie", 2.0)))
+    rig.run(after_s)
+    data = rig.core.snapshot()
+    other = Rig(library)
+    other.core.restore(data)
+    assert other.core.snapshot() == data
+    other.now, other.tick_number = rig.now, rig.tick_number
+    rig.log.clear()
+    for one in (rig, other):
+        one.run(3.0)
+        one.tick(requests=(one.request("walk", velocity=(0.2, 0, 0), request_id=9),))
+        one.run(3.0)
+    for ours, theirs in zip(rig.log, other.log, strict=True):
+        assert ours.status.obs_hash == theirs.status.obs_hash
+        assert ours.status.command_hash == theirs.status.command_hash
+        assert ours.status.skill == theirs.status.skill
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{}",
+        b"[]",
+        b"\xff\xfe",
+        b'{"snapshot":1,"state":{"x":{"!":"Popen","v":[]}}}',
+        b"1" * 9,
+    ],
+)
+def test_bytes_that_are_no_snapshot_are_refused(rig, data):
+    with pytest.raises(ControlError, match="snapshot"):
+        rig.core.restore(data)
