@@ -89,7 +89,7 @@ def decode(data: Any, library: SkillLibrary) -> Any:
         return data
     if "!a" in data:
         dtype, shape, text = data["!a"]
-        raw = np.frombuffer(base64.b85decode(text), _DTYPES[dtype])
+        raw: Any = np.frombuffer(base64.b85decode(text), _DTYPES[dtype])
         return raw.reshape(shape).copy() if shape else raw[0]
     if "!t" in data:
         return tuple(decode(item, library) for item in data["!t"])

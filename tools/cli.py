@@ -28,6 +28,7 @@ Command = (
     | Annotated[processes.Record, sub("record")]
     | Annotated[operate.Ask, sub("ask")]
     | Annotated[operate.Stop, sub("stop")]
+    | Annotated[operate.Replay, sub("replay")]
     | Annotated[operate.Report, sub("report")]
     | Annotated[operate.Spy, sub("spy")]
     | Annotated[operate.Doctor, sub("doctor")]

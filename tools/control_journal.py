@@ -1,40 +1,40 @@
-"""What control writes per tick: which messages it consumed, and hashes of what it computed."""
+"""The journal of a run: one record per control tick."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from downbeat.control.core import TickInput, TickOutput
+from downbeat.control.core import ControlCore, TickInput, TickOutput
+from downbeat.control.record import tick_record
 from downbeat.runtime.config import plain
 from downbeat.runtime.journal import JournalWriter
 from downbeat.tools.show import Show
 
+JOURNAL_NAME = "journal"
+
 
 class ControlJournal:
-    """The journal of a run; records hold the show's time only: equal runs are equal bytes."""
+    """Writes the journal; records hold the show's time only: equal runs are equal bytes."""
 
-    def __init__(self, path: Path, show: Show) -> None:
-        self._writer = JournalWriter(path, plain(show.config))
+    def __init__(self, path: Path, show: Show, core: ControlCore) -> None:
+        """Create the file; its header says which policies and settings a replay needs.
+
+        Raises:
+            JournalError: The file cannot be written.
+        """
+        library = core.library
+        self._writer = JournalWriter(
+            path,
+            {
+                "show": plain(show.config),
+                "core": plain(core.config),
+                "policies": {name: library[name].manifest.sha256 for name in library.names},
+            },
+        )
 
     def record(self, inputs: TickInput, output: TickOutput) -> None:
         """Append one tick."""
-        status = output.status
-        self._writer.write(
-            {
-                "tick": inputs.tick,
-                "utime": inputs.utime,
-                "state_seq": None if inputs.state is None else inputs.state.header.seq,
-                "requests": [(m.header.epoch, m.header.seq) for m in inputs.requests],
-                "operator": [(m.header.epoch, m.header.seq) for m in inputs.operator],
-                "estops": [(m.header.epoch, m.header.seq) for m in inputs.estops],
-                "mode": status.mode,
-                "skill": status.skill,
-                "input": status.input_hash,
-                "obs": status.obs_hash,
-                "action": status.action_hash,
-                "command": status.command_hash,
-            }
-        )
+        self._writer.write(tick_record(inputs, output))
 
     def close(self) -> None:
         """Finish the file."""

@@ -7,12 +7,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from downbeat.tools.replay import replay_equal
 from downbeat.tools.report import is_good, print_report, report
 
 
 def finish_run(run_dir: Path, video: bool, quiet: bool = False) -> dict[str, Any]:
     """Compute everything a run leaves behind; returns the metrics with `good` added."""
-    metrics = report(run_dir)
+    metrics = report(run_dir, replay_equal(run_dir))
     try:
         from downbeat.tools.timeline import draw_timeline
 

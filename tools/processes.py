@@ -19,6 +19,7 @@ from downbeat.tools.show import (
     load_show,
     make_conductor,
     make_control,
+    make_core,
     make_listener,
     make_sim,
 )
@@ -84,11 +85,12 @@ def _sim(show: Show, bus: Bus, clock: WallClock) -> int:
 
 
 def _control(show: Show, bus: Bus, clock: WallClock) -> int:
-    from downbeat.tools.control_journal import ControlJournal
+    from downbeat.tools.control_journal import JOURNAL_NAME, ControlJournal
 
-    journal = ControlJournal(show.folder / "journal", show)
+    core = make_core(show)
+    journal = ControlJournal(show.folder / JOURNAL_NAME, show, core)
     keeper = RateKeeper(clock, 20_000)
-    node = make_control(show, bus, journal.record, keeper.timing)
+    node = make_control(show, bus, journal.record, keeper.timing, core)
     _announce(node.name, configure_real_time(CONTROL_PRIORITY))
     try:
         run_node(node, clock, bus, rate=keeper)

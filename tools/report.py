@@ -16,13 +16,19 @@ GOOD, BAD, UNKNOWN = "green", "bold red", "dim"
 BOUNDARY_WORDS = {"start": "start", "announced": "known", "unannounced": "surprise"}
 
 
-def report(run_dir: Path) -> dict[str, Any]:
+def report(run_dir: Path, replay_equal: bool | None = None) -> dict[str, Any]:
     """Compute the metrics of a run folder, write metrics.json, return them.
+
+    Args:
+        run_dir: The folder.
+        replay_equal: Whether control was re-executed bit for bit; None: not tried.
 
     Raises:
         ToolError: The log or the truth file is missing or wrong.
     """
     metrics = compute_metrics(run_dir)
+    if replay_equal is not None:
+        metrics["replay_equal"] = replay_equal
     write_metrics(run_dir, metrics)
     return metrics
 
@@ -121,6 +127,10 @@ def _numbers_table(metrics: dict[str, Any]) -> Table:
     table.add_row("control ticks", Text(f"{control['ticks']}, ") + missed + late + compute)
     bus = metrics["bus"]
     table.add_row("bus", Text(f"{bus['lost']} lost, {bus['rejected']} rejected"))
+    if metrics["replay_equal"] is not None:
+        equal = metrics["replay_equal"]
+        word = "bit-identical" if equal else "DIFFERENT (downbeat replay RUN --verify)"
+        table.add_row("control, re-executed", Text(word, style=GOOD if equal else BAD))
     table.add_row("plant, share of real time", _value(metrics["plant_realtime_factor"], "{:.3f}"))
     return table
 

@@ -10,11 +10,12 @@ from downbeat.runtime.bus import MemqHub
 from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock
 from downbeat.runtime.log import LogWriter
 from downbeat.sim.lockstep import Lockstep
-from downbeat.tools.control_journal import ControlJournal
+from downbeat.tools.control_journal import JOURNAL_NAME, ControlJournal
 from downbeat.tools.show import (
     Show,
     make_conductor,
     make_control,
+    make_core,
     make_listener,
     make_sim,
 )
@@ -47,12 +48,13 @@ def run_lockstep(
     hub.tap(log.write)
     start = clock.utime()
     first_sample_utime = start + LEAD_US
-    journal = ControlJournal(run_dir / "journal", show)
+    core = make_core(show)
+    journal = ControlJournal(run_dir / JOURNAL_NAME, show, core)
     nodes = (
         make_sim(show, hub.endpoint("sim", clock)),
         make_listener(show, hub.endpoint("listener", clock), first_sample_utime),
         make_conductor(show, hub.endpoint("conductor", clock)),
-        make_control(show, hub.endpoint("control", clock), journal.record),
+        make_control(show, hub.endpoint("control", clock), journal.record, core=core),
     )
     scheduler = Lockstep(clock, nodes)
     total_us = LEAD_US + round(duration_s * 1e6) + TAIL_US

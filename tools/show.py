@@ -10,10 +10,10 @@ from typing import Any
 
 from downbeat.catalog.setlist import load_setlist
 from downbeat.catalog.tracks import Track, load_tracks
-from downbeat.control.core import ControlCore, TickInput, TickOutput
+from downbeat.control.core import ControlCore, CoreConfig, TickInput, TickOutput
 from downbeat.control.node import ControlNode
 from downbeat.control.policy import SkillLibrary
-from downbeat.policies.manifest import load_skills
+from downbeat.policies.manifest import SkillManifest, load_skills
 from downbeat.runtime.bus import Bus
 from downbeat.runtime.config import load_config, plain
 
@@ -30,6 +30,8 @@ class ShowConfig:
         index: Fingerprint index.
         set_list: Set list of an announced show, empty: cuts are a surprise.
         skills: Folder of skills, empty: the bundled ones.
+        imported: Folder of further skills, as `downbeat policy import` writes them.
+        fallback: The skill that catches a fall.
         seed: Of the plant's noise.
         sensor_noise: Whether the plant's sensors are noisy.
         command_delay_us: From a command to its effect on the motors [us].
@@ -40,6 +42,8 @@ class ShowConfig:
     index: str
     set_list: str = ""
     skills: str = ""
+    imported: str = ""
+    fallback: str = "stand"
     seed: int = 0
     sensor_noise: bool = True
     command_delay_us: int = 4_000
@@ -77,7 +81,15 @@ def skills_folder(show: Show) -> Path | None:
 
 def show_tracks(show: Show) -> dict[str, Track]:
     """Return the show's tracks, with every rule's skill checked."""
-    return load_tracks(show.path(show.config.tracks), load_skills(skills_folder(show)))
+    return load_tracks(show.path(show.config.tracks), show_skills(show))
+
+
+def show_skills(show: Show) -> dict[str, SkillManifest]:
+    """Return the manifests of everything the show may play."""
+    manifests = load_skills(skills_folder(show))
+    if show.config.imported:
+        manifests.update(load_skills(show.path(show.config.imported)))
+    return manifests
 
 
 def make_sim(show: Show, bus: Bus) -> Any:
@@ -119,8 +131,20 @@ def make_conductor(show: Show, bus: Bus) -> Any:
     set_list = (
         load_setlist(show.path(show.config.set_list), tracks) if show.config.set_list else None
     )
-    conductor = Conductor(Timeline(tracks, set_list), load_skills(skills_folder(show)))
+    conductor = Conductor(Timeline(tracks, set_list), show_skills(show))
     return ConductorNode(bus, conductor, frozenset(tracks))
+
+
+def make_core(show: Show) -> ControlCore:
+    """Load the skills and build control's core.
+
+    Raises:
+        DownbeatError: A skill cannot be loaded.
+    """
+    settings = show.config
+    imported = show.path(settings.imported) if settings.imported else None
+    library = SkillLibrary.load(skills_folder(show), imported=imported)
+    return ControlCore(library, CoreConfig(fallback=settings.fallback))
 
 
 def make_control(
@@ -128,7 +152,7 @@ def make_control(
     bus: Bus,
     journal: Callable[[TickInput, TickOutput], None] | None = None,
     timing: Callable[[], tuple[int, int, int]] | None = None,
+    core: ControlCore | None = None,
 ) -> ControlNode:
-    """Build the control process."""
-    library = SkillLibrary.load(skills_folder(show))
-    return ControlNode(bus, ControlCore(library), journal, timing)
+    """Build the control process, around `core` if one is loaded already."""
+    return ControlNode(bus, core or make_core(show), journal, timing)

@@ -1,6 +1,8 @@
 """A whole show in one process: heard, asked, danced; the same bytes twice; nothing breaks it."""
 
+import base64
 import json
+import shutil
 import struct
 
 import numpy as np
@@ -9,15 +11,20 @@ import pytest
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import Rule, Track
+from downbeat.control.core import hash64
+from downbeat.control.record import input_of
 from downbeat.lcm_types import g1_low_state_t
 from downbeat.lcm_types.channels import CHANNELS
 from downbeat.perception.source import Recording
 from downbeat.runtime.bus import MemqHub
 from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock
+from downbeat.runtime.codec import codec_for
 from downbeat.sim.lockstep import Lockstep
+from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import write_show
 from downbeat.tools.mashup import build_mashup
 from downbeat.tools.recordings import INDEX_NAME, Library, build_index, write_track
+from downbeat.tools.replay import verify
 from downbeat.tools.report import report
 from downbeat.tools.run_lockstep import run_lockstep
 from downbeat.tools.show import make_conductor, make_control, make_listener, make_sim
@@ -104,6 +111,54 @@ def test_metrics_have_the_contracts_keys(finished):
         assert key in metrics
     assert {"total", "followed", "onset_error_ms"} <= set(metrics["announced"])
     assert {"direct", "blended", "via_stand", "refused"} <= set(metrics["transitions"])
+
+
+def test_run_replays_bit_for_bit(finished):
+    verdict = verify(finished[1])
+    assert verdict.is_equal, verdict.difference
+    assert verdict.ticks > 1000
+    assert verdict.logged_commands == verdict.ticks
+
+
+def test_replay_names_the_first_difference(finished, tmp_path):
+    """One bit of one joint in one consumed state, and the replay says where it began to matter."""
+    folder = tmp_path / "run"
+    shutil.copytree(finished[1], folder)
+    lines = (folder / "journal").read_text().splitlines()
+    record = json.loads(lines[501])
+    inputs = input_of(record)
+    inputs.state.joint_pos[4] = np.nextafter(inputs.state.joint_pos[4], np.float32(9))
+    record["state"] = base64.b64encode(codec_for(g1_low_state_t).encode(inputs.state)).decode()
+    lines[501] = json.dumps(record)
+    (folder / "journal").write_text("\n".join(lines) + "\n")
+    difference = verify(folder).difference
+    assert difference.tick == 500
+    assert difference.field == "input"
+    forged = hash64(inputs.state.joint_pos, inputs.state.joint_vel)
+    lines[501] = json.dumps(record | {"input": forged})
+    (folder / "journal").write_text("\n".join(lines) + "\n")
+    assert verify(folder).difference.field == "obs"
+
+
+def test_replay_shows_both_values_of_a_changed_command(finished, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(finished[1], folder)
+    lines = (folder / "journal").read_text().splitlines()
+    lines[601] = json.dumps(json.loads(lines[601]) | {"command": 1})
+    (folder / "journal").write_text("\n".join(lines) + "\n")
+    difference = verify(folder).difference
+    assert (difference.tick, difference.field) == (600, "command")
+
+
+def test_replay_refuses_other_policies(finished, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(finished[1], folder)
+    lines = (folder / "journal").read_text().splitlines()
+    header = json.loads(lines[0])
+    header["config"]["policies"]["stand"] = "0" * 64
+    (folder / "journal").write_text("\n".join([json.dumps(header), *lines[1:]]) + "\n")
+    with pytest.raises(ToolError, match="replay needs the same files"):
+        verify(folder)
 
 
 def test_two_runs_leave_the_same_journal_and_log(finished, tmp_path):

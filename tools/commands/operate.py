@@ -50,6 +50,30 @@ class Stop:
 
 
 @dataclass(frozen=True)
+class Replay:
+    """Play a run's log on the bus again; with --verify re-execute control and compare every bit."""
+
+    run_dir: tyro.conf.Positional[Path] = Path("runs/latest")
+    """Folder of the run."""
+    verify: bool = False
+    """Re-execute control from the journal; 0 if bit-identical, 1 at the first difference."""
+    speed: float = 1.0
+    """Of playing; 2: twice as fast."""
+    url: str = ""
+    """LCM URL to play on."""
+    json: bool = False
+    """Print the verdict as one JSON object."""
+
+    def run(self) -> int:
+        """Replay."""
+        from downbeat.tools.replay import play_log, verify_command
+
+        if self.verify:
+            return verify_command(self.run_dir, self.json)
+        return play_log(self.run_dir, self.url, self.speed)
+
+
+@dataclass(frozen=True)
 class Report:
     """Compute metrics.json and timeline.png of a run again, from its log and truth file alone."""
 
