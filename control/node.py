@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from downbeat.control.blackbox import BlackBox
 from downbeat.control.core import ControlCore, TickInput, TickOutput
 from downbeat.control.phase import TICK_US
 from downbeat.lcm_types import skill_status_t
@@ -32,6 +33,7 @@ class ControlNode:
         core: ControlCore,
         journal: Callable[[TickInput, TickOutput], None] | None = None,
         timing: Callable[[], tuple[int, int, int]] | None = None,
+        blackbox: BlackBox | None = None,
     ) -> None:
         """Wire the process.
 
@@ -40,11 +42,15 @@ class ControlNode:
             core: The core, loaded and warm.
             journal: Writes one record per tick.
             timing: Returns (lateness_us, compute_us, missed) of the loop; zeros in lockstep.
+            blackbox: Keeps the last seconds and writes them when the robot trips.
         """
         self._bus = bus
         self.core = core
         self._journal = journal
         self._timing = timing or (lambda: (0, 0, 0))
+        self._blackbox = blackbox
+        if blackbox is not None:
+            bus.tap = blackbox.note
         self._tick = 0
         bus.subscribe(*SUBSCRIPTIONS)
 
@@ -57,6 +63,8 @@ class ControlNode:
         self._publish_status(output)
         if self._journal is not None:
             self._journal(inputs, output)
+        if self._blackbox is not None:
+            self._blackbox.after_tick(inputs, output)
         self._tick += 1
 
     def _gather(self, utime: int) -> TickInput:
@@ -95,4 +103,6 @@ class ControlNode:
             self._bus.publish("SKILL_STATUS", msg)
 
     def close(self) -> None:
-        """Nothing to release; the robot goes to damping when commands expire."""
+        """Finish the black box; the robot goes to damping when commands expire."""
+        if self._blackbox is not None:
+            self._blackbox.close()

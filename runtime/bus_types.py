@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from downbeat.runtime.clock import Clock
 from downbeat.runtime.errors import DownbeatError
 
 
@@ -107,6 +109,8 @@ class Bus(Protocol):
     """One process's endpoint; not for use by several threads."""
 
     counters: BusCounters
+    tap: Callable[[str, bytes], None] | None
+    clock: Clock
 
     def publish(self, channel: str, msg: Any) -> int:
         """Stamp header.seq and header.epoch, check the channel table, encode, send.

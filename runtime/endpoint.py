@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from downbeat.lcm_types.channels import CHANNELS, Channel
@@ -87,6 +88,8 @@ class Endpoint:
         self.process = process
         self.epoch = epoch
         self.counters = BusCounters()
+        self.tap: Callable[[str, bytes], None] | None = None
+        """Sees every payload that comes in or goes out, bad ones too: for the black box."""
         self._subscriptions: dict[str, _Subscription] = {}
         self._next_seqs: dict[str, int] = {}
 
@@ -101,6 +104,8 @@ class Endpoint:
         header.seq = seq
         header.epoch = self.epoch
         payload = codec.encode(msg)
+        if self.tap is not None:
+            self.tap(channel, payload)
         self._next_seqs[channel] = seq + 1
         self._send(channel, payload)
         return seq
@@ -132,6 +137,8 @@ class Endpoint:
         subscription = self._subscriptions.get(channel)
         if subscription is None:
             return
+        if self.tap is not None:
+            self.tap(channel, payload)
         try:
             msg = subscription.codec.decode(payload, channel)
         except CodecError as error:

@@ -10,6 +10,7 @@ from typing import Any
 
 from downbeat.catalog.setlist import load_setlist
 from downbeat.catalog.tracks import Track, load_tracks
+from downbeat.control.blackbox import BlackBox
 from downbeat.control.core import ControlCore, CoreConfig, TickInput, TickOutput
 from downbeat.control.node import ControlNode
 from downbeat.control.policy import SkillLibrary
@@ -155,4 +156,5 @@ def make_control(
     core: ControlCore | None = None,
 ) -> ControlNode:
     """Build the control process, around `core` if one is loaded already."""
-    return ControlNode(bus, core or make_core(show), journal, timing)
+    blackbox = BlackBox(show.path("blackbox"), bus.clock)
+    return ControlNode(bus, core or make_core(show), journal, timing, blackbox)
