@@ -13,19 +13,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from downbeat.catalog.robot import load_g1
 from downbeat.control.errors import ControlError
 from downbeat.control.kinematics import centre_of_mass_motion, feet
 from downbeat.control.soles import Sole, SoleLimits, rest_confidence, see_sole
-from downbeat.control.support import Point, convex_hull, signed_distance
+from downbeat.control.support import (
+    GRAVITY_M_S2,
+    Point,
+    capture_point,
+    convex_hull,
+    signed_distance,
+)
 from downbeat.control.vectors import Vec3, cross, minus, plus, rotation_of, towards, turn, turn_back
 
-GRAVITY_M_S2 = 9.81
+Floats = Sequence[float] | NDArray[Any]
+
 IMU_POS: Vec3 = load_g1().site("imu_in_pelvis").pos
 LEAST_CONFIDENCE = 0.2
 """Below this in sum the lower foot is believed that much, however it moves: something must be."""
@@ -71,6 +79,8 @@ class Estimate:
         com_vel: (3,) [m/s] world.
         capture_point: (2,) [m] where a foot would have to stand to stop the motion, world.
         support_margin: [m] of the capture point inside the hull of the resting soles.
+        step_margin: [m] of the capture point inside the hull of both soles, lifted ones included:
+            who steps on purpose leaves the first hull with every step, but not this one.
     """
 
     base_lin_vel: Vec3
@@ -80,6 +90,7 @@ class Estimate:
     com_vel: Vec3
     capture_point: Point
     support_margin: float
+    step_margin: float
 
     @property
     def base_height(self) -> float:
@@ -88,7 +99,7 @@ class Estimate:
 
 
 NO_ESTIMATE = Estimate(
-    UNKNOWN, UNKNOWN, (0.0, 0.0), UNKNOWN, UNKNOWN, (math.nan, math.nan), math.nan
+    UNKNOWN, UNKNOWN, (0.0, 0.0), UNKNOWN, UNKNOWN, (math.nan, math.nan), math.nan, math.nan
 )
 
 
@@ -126,11 +137,11 @@ class StateEstimator:
 
     def update(
         self,
-        base_quat_wxyz: Sequence[float],
-        gyro: Sequence[float],
-        accel: Sequence[float],
-        joint_pos: Sequence[float],
-        joint_vel: Sequence[float],
+        base_quat_wxyz: Floats,
+        gyro: Floats,
+        accel: Floats,
+        joint_pos: Floats,
+        joint_vel: Floats,
     ) -> Estimate:
         """Take one measurement; if it is not usable the state stays and NO_ESTIMATE returns.
 
@@ -161,6 +172,7 @@ class StateEstimator:
         com_rate = plus(cross(turn_rate, com_arm), turn(rotation, com_rate_b))
         com, com_vel = plus(self.state.base_pos, com_arm), plus(base_vel, com_rate)
         capture = capture_point(com, com_vel)
+        support_margin, step_margin = self._margins(capture, left, right)
         return Estimate(
             base_lin_vel=turn_back(rotation, base_vel),
             base_pos=self.state.base_pos,
@@ -168,7 +180,8 @@ class StateEstimator:
             com=com,
             com_vel=com_vel,
             capture_point=capture,
-            support_margin=signed_distance(capture, self._support(left, right)),
+            support_margin=support_margin,
+            step_margin=step_margin,
         )
 
     def _integrate(self, force: Vec3) -> Vec3:
@@ -224,22 +237,30 @@ class StateEstimator:
         state.anchors = (anchors[0], anchors[1], anchors[2], anchors[3])
         state.is_started = True
 
-    def _support(self, left: Sole, right: Sole) -> list[Point]:
-        """Return the hull of the corners that stand on the floor, world, counter-clockwise."""
+    def _margins(self, capture: Point, left: Sole, right: Sole) -> tuple[float, float]:
+        """Return how far a point is inside what carries, and inside both soles as they are."""
         config, state = self.config, self.state
         limit = config.support_height_m - state.base_pos[2]
         lower = left if left.height <= right.height else right
-        points: list[Point] = []
+        standing: list[Point] = []
+        everything: list[Point] = []
         places = (state.anchors[:2], state.anchors[2:])
         for sole, sure, (ax, ay) in zip((left, right), state.confidence, places):
-            if sure >= config.support_confidence or sole is lower:
-                px, py, _ = sole.pos
-                points += [(ax + x - px, ay + y - py) for x, y, z in sole.corners if z < limit]
-        return convex_hull(points)
+            carries = sure >= config.support_confidence or sole is lower
+            off_x, off_y = ax - sole.pos[0], ay - sole.pos[1]
+            for x, y, z in sole.corners:
+                corner = (x + off_x, y + off_y)
+                everything.append(corner)
+                if carries and z < limit:
+                    standing.append(corner)
+        step_margin = signed_distance(capture, convex_hull(everything))
+        if len(standing) == len(everything):
+            return step_margin, step_margin
+        return signed_distance(capture, convex_hull(standing)), step_margin
 
     def to_state(self) -> dict[str, Any]:
         """Return what is remembered, field by field: bool and lists of float."""
-        values = {f.name: getattr(self.state, f.name) for f in fields(EstimatorState)}
+        values = asdict(self.state)
         return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
     def from_state(self, values: dict[str, Any]) -> None:
@@ -248,26 +269,21 @@ class StateEstimator:
         Raises:
             ControlError: A field is missing, unknown or of another length.
         """
-        fresh = EstimatorState()
-        shape = {f.name: _length(getattr(fresh, f.name)) for f in fields(EstimatorState)}
-        if shape != {name: _length(value) for name, value in values.items()}:
+        shape = {k: np.shape(v) for k, v in asdict(EstimatorState()).items()}
+        if shape != {k: np.shape(v) for k, v in values.items()}:
             raise ControlError(
-                f"The estimator's state cannot be restored from the fields {', '.join(values)};"
-                f" it has {', '.join(f'{k} ({n} numbers)' for k, n in shape.items())}."
+                f"The estimator's state cannot be restored from {', '.join(values)}; it has"
+                f" {', '.join(f'{k} {n}' for k, n in shape.items())}."
             )
-        for name, value in values.items():
-            setattr(fresh, name, tuple(value) if isinstance(value, (list, tuple)) else value)
-        self.state = fresh
+        fields = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        self.state = EstimatorState(**fields)
 
 
-def capture_point(com: Vec3, com_vel: Vec3) -> Point:
-    """Return com + com_vel / sqrt(g / height), x and y [m]: the linear inverted pendulum's."""
-    time_constant_s = math.sqrt(max(com[2], 0.0) / GRAVITY_M_S2)
-    return com[0] + time_constant_s * com_vel[0], com[1] + time_constant_s * com_vel[1]
-
-
-def _floats(values: Sequence[float]) -> Sequence[float]:
-    return values.tolist() if isinstance(values, np.ndarray) else values
+def _floats(values: Floats) -> Sequence[float]:
+    if isinstance(values, np.ndarray):
+        numbers: list[float] = values.tolist()
+        return numbers
+    return values
 
 
 def _are_usable(quat: Sequence[float], *others: Sequence[float]) -> bool:
@@ -277,7 +293,3 @@ def _are_usable(quat: Sequence[float], *others: Sequence[float]) -> bool:
     # A sum of squares is NaN or inf if any number is.
     limit = LARGEST_INPUT * LARGEST_INPUT
     return all(sum([v * v for v in values]) < limit for values in others)
-
-
-def _length(value: object) -> int:
-    return len(value) if isinstance(value, (list, tuple)) else 1

@@ -1,11 +1,26 @@
-"""The polygon the robot stands on, and where a point lies in it. Plain floats, a few points."""
+"""The capture point, the polygon that the robot stands on, and where in it a point lies."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
+from downbeat.control.vectors import Vec3
+
 Point = tuple[float, float]
+
+GRAVITY_M_S2 = 9.81
+
+
+def capture_point(com: Vec3, com_vel: Vec3) -> Point:
+    """Return com + com_vel sqrt(height / g), x and y [m]: where a linear inverted pendulum stops.
+
+    Args:
+        com: (3,) [m] centre of mass, z above the floor.
+        com_vel: (3,) [m/s].
+    """
+    time_constant_s = math.sqrt(max(com[2], 0.0) / GRAVITY_M_S2)
+    return com[0] + time_constant_s * com_vel[0], com[1] + time_constant_s * com_vel[1]
 
 
 def convex_hull(points: Sequence[Point]) -> list[Point]:
