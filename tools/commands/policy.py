@@ -1,4 +1,4 @@
-"""`downbeat policy`: generate, certify, inspect skills."""
+"""`downbeat policy`: generate, import, certify, inspect skills."""
 
 from __future__ import annotations
 
@@ -46,6 +46,34 @@ class Certify:
 
 
 @dataclass(frozen=True)
+class Import:
+    """Import a public policy from its authors' own layout; nothing of theirs is edited."""
+
+    path: tyro.conf.Positional[Path]
+    """ONNX file, or the folder as its authors publish it."""
+    out: Path = Path("policies_imported")
+    """Folder that receives NAME/manifest.toml and its files."""
+    name: str = ""
+    """Skill name; omitted: from the path."""
+    profile: str = ""
+    """Built-in profile for what the files do not say; omitted: the family's own."""
+    set: list[str] = field(default_factory=list)
+    """KEY=VALUE for a field that is missing or wrong, e.g. motion.start_s=2.8."""
+    licence: str = ""
+    """Licence of the policy (SPDX name), for the manifest."""
+    json: bool = False
+    """Print a summary as one JSON object."""
+
+    def run(self) -> int:
+        """Import and show."""
+        from downbeat.tools.policy_import import import_command
+
+        return import_command(
+            self.path, self.out, self.name, self.profile, self.set, self.licence, self.json
+        )
+
+
+@dataclass(frozen=True)
 class Inspect:
     """Show skills: kind, tempo range, entry and exit phases, certificate."""
 
@@ -63,10 +91,11 @@ class Inspect:
 
 @dataclass(frozen=True)
 class Policy:
-    """Skills: `generate`, `certify`, `inspect`."""
+    """Skills: `generate`, `import`, `certify`, `inspect`."""
 
     what: (
         Annotated[Generate, tyro.conf.subcommand("generate")]
+        | Annotated[Import, tyro.conf.subcommand("import")]
         | Annotated[Certify, tyro.conf.subcommand("certify")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
     )

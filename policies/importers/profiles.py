@@ -1,0 +1,115 @@
+"""Named built-in profiles: what recognised families do not write into their files.
+
+Every value that is taken from here is printed and stands in the manifest's `inferred`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from downbeat.policies.errors import PolicyError
+from downbeat.runtime.errors import one_of
+
+LEGS = (
+    "left_hip_pitch_joint",
+    "left_hip_roll_joint",
+    "left_hip_yaw_joint",
+    "left_knee_joint",
+    "left_ankle_pitch_joint",
+    "left_ankle_roll_joint",
+    "right_hip_pitch_joint",
+    "right_hip_roll_joint",
+    "right_hip_yaw_joint",
+    "right_knee_joint",
+    "right_ankle_pitch_joint",
+    "right_ankle_roll_joint",
+)
+KNEES_BENT = (
+    *(-0.312, 0.0, 0.0, 0.669, -0.363, 0.0),
+    *(-0.312, 0.0, 0.0, 0.669, -0.363, 0.0),
+    *(0.0, 0.0, 0.0),
+    *(0.2, 0.2, 0.0, 0.6, 0.0, 0.0, 0.0),
+    *(0.2, -0.2, 0.0, 0.6, 0.0, 0.0, 0.0),
+)
+"""Default pose of holosoma and BeyondMimic, motor order [rad]."""
+
+
+@dataclass(frozen=True)
+class HolosomaProfile:
+    """What holosoma keeps in its inference configuration, beside the ONNX file.
+
+    Attributes:
+        default_joint_pos: (29,) motor order [rad].
+        action_scale: [rad].
+        gait_period_s: [s].
+        terms: Of the observation; the network sees them in alphabetical order.
+        scales: Factor of a term.
+    """
+
+    default_joint_pos: tuple[float, ...] = KNEES_BENT
+    action_scale: float = 0.25
+    gait_period_s: float = 1.0
+    terms: tuple[str, ...] = (
+        "actions",
+        "base_ang_vel",
+        "command_ang_vel",
+        "command_lin_vel",
+        "cos_phase",
+        "dof_pos",
+        "dof_vel",
+        "projected_gravity",
+        "sin_phase",
+    )
+    scales: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class RlGymProfile:
+    """What unitree_rl_gym keeps in g1.yaml and in its deployment script."""
+
+    joint_names: tuple[str, ...] = LEGS
+    kps: tuple[float, ...] = (100, 100, 100, 150, 40, 40) * 2
+    kds: tuple[float, ...] = (2, 2, 2, 4, 2, 2) * 2
+    default_angles: tuple[float, ...] = (-0.1, 0.0, 0.0, 0.3, -0.2, 0.0) * 2
+    ang_vel_scale: float = 0.25
+    dof_pos_scale: float = 1.0
+    dof_vel_scale: float = 0.05
+    action_scale: float = 0.25
+    cmd_scale: tuple[float, ...] = (2.0, 2.0, 0.25)
+    gait_period_s: float = 0.8
+
+
+@dataclass(frozen=True)
+class MotionWindow:
+    """Which part of a published motion file its author's state machine plays [s]."""
+
+    start_s: float
+    end_s: float | None
+    rate_hz: float = 60.0
+
+
+HOLOSOMA = {
+    "holosoma_g1_29dof": HolosomaProfile(scales={"base_ang_vel": 0.25, "dof_vel": 0.05}),
+}
+RL_GYM = {"unitree_rl_gym_g1": RlGymProfile()}
+WINDOWS = {
+    "G1_Take_102.bvh_60hz": MotionWindow(2.8, 24.0),
+    "G1_gangnam_style_V01.bvh_60hz": MotionWindow(5.2, 25.5),
+    "my_dance_60hz": MotionWindow(0.0, 10.0),
+}
+"""By the name of the motion file."""
+VELOCITY_RANGES = ((-0.4, 0.6), (-0.3, 0.3), (-0.5, 0.5))
+"""vx, vy [m/s], yaw rate [rad/s] for velocity policies that name none: careful."""
+
+
+def pick(profiles: Mapping[str, object], asked: str, default: str) -> tuple[str, object]:
+    """Return (name, profile): the one asked for, or the family's default.
+
+    Raises:
+        PolicyError: There is none of that name.
+    """
+    name = asked or default
+    if name not in profiles:
+        raise PolicyError(f"Profile '{name}' is unknown; valid are {one_of(profiles)} (--profile).")
+    return name, profiles[name]

@@ -1,0 +1,72 @@
+"""Numbers and names out of metadata, checked."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from downbeat.policies.errors import PolicyError
+
+
+def csv_texts(text: str) -> tuple[str, ...]:
+    """Split a comma-separated list."""
+    return tuple(part.strip() for part in text.split(","))
+
+
+def csv_numbers(text: str, where: str) -> tuple[float, ...]:
+    """Parse a comma-separated list of numbers.
+
+    Raises:
+        PolicyError: One of them is not a finite number.
+    """
+    return finite([_number(part, where) for part in csv_texts(text)], where)
+
+
+def _number(value: Any, where: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise PolicyError(f"{value!r} is not a number ({where}).") from None
+
+
+def json_value(text: str, where: str) -> Any:
+    """Parse JSON.
+
+    Raises:
+        PolicyError: It is not JSON.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise PolicyError(f"{text[:40]!r} is not JSON: {error} ({where}).") from None
+
+
+def finite(values: Any, where: str) -> tuple[float, ...]:
+    """Return finite floats.
+
+    Raises:
+        PolicyError: Not a list, or an element is not a finite number.
+    """
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise PolicyError(f"{values!r} is not a list of numbers ({where}).")
+    found = tuple(_number(value, where) for value in values)
+    bad = [value for value in found if not math.isfinite(value)]
+    if bad:
+        raise PolicyError(f"{bad[0]} is not a finite number ({where}).")
+    return found
+
+
+def spread(value: Any, count: int, where: str) -> tuple[float, ...]:
+    """Return `count` numbers; a single number stands for all.
+
+    Raises:
+        PolicyError: The count is wrong.
+    """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return finite([value] * count, where)
+    found = finite(value, where)
+    if len(found) != count:
+        raise PolicyError(f"{len(found)} values for {count} joints ({where}).")
+    return found

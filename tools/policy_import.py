@@ -1,0 +1,80 @@
+"""`downbeat policy import`: a public policy becomes a skill of ours, checked to the last number."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from downbeat.control.golden import GOLDEN_NAME, verify_golden, write_golden
+from downbeat.control.network import NetworkSkill
+from downbeat.policies.importers.context import ImportContext, parse_settings
+from downbeat.policies.importers.detect import read_policy
+from downbeat.policies.importers.package import skill_name, write_skill
+from downbeat.policies.manifest import SkillManifest, file_sha256, load_manifest
+from downbeat.policies.toml_edit import set_files
+
+
+def import_policy(
+    path: Path,
+    out: Path,
+    name: str = "",
+    profile: str = "",
+    settings: Sequence[str] = (),
+    licence: str = "",
+) -> SkillManifest:
+    """Import one policy and return its manifest.
+
+    Raises:
+        DownbeatError: One sentence: what is missing or contradicts, and what would be valid.
+    """
+    ctx = ImportContext(path, name or skill_name(path.resolve()), profile, parse_settings(settings))
+    draft = read_policy(ctx)
+    manifest = write_skill(ctx, draft, out, licence)
+    golden = write_golden(NetworkSkill(manifest))
+    set_files(
+        manifest.folder / "manifest.toml",
+        (*manifest.extra_files, GOLDEN_NAME),
+        (*manifest.extra_sha256, file_sha256(golden)),
+    )
+    final = load_manifest(manifest.folder / "manifest.toml")
+    verify_golden(NetworkSkill(final))
+    return final
+
+
+def import_command(
+    path: Path,
+    out: Path,
+    name: str,
+    profile: str,
+    settings: Sequence[str],
+    licence: str,
+    as_json: bool,
+) -> int:
+    """`downbeat policy import`."""
+    manifest = import_policy(path, out, name, profile, settings, licence)
+    if as_json:
+        print(json.dumps(_summary(manifest)))
+        return 0
+    from downbeat.tools.policy_inspect import print_policy
+
+    print_policy(manifest, Console())
+    print(f"imported: {manifest.folder}")
+    print(f"certify it: downbeat policy certify {manifest.name} --skills {out} --write")
+    return 0
+
+
+def _summary(manifest: SkillManifest) -> dict[str, Any]:
+    spec = manifest.policy
+    return {
+        "name": manifest.name,
+        "folder": str(manifest.folder),
+        "kind": manifest.kind,
+        "duration_s": manifest.duration_s,
+        "dialect": "" if spec is None else spec.dialect,
+        "joints": 0 if spec is None else spec.num_joints,
+        "inferred": list(manifest.inferred),
+    }
