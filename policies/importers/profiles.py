@@ -78,6 +78,9 @@ class RlGymProfile:
     action_scale: float = 0.25
     cmd_scale: tuple[float, ...] = (2.0, 2.0, 0.25)
     gait_period_s: float = 0.8
+    held_kps: tuple[float, ...] = (300, 300, 300, *(100, 100, 50, 50, 20, 20, 20) * 2)
+    held_kds: tuple[float, ...] = (3, 3, 3, *(2, 2, 2, 2, 1, 1, 1) * 2)
+    """Waist and arms, motor order: the network was trained with them locked at zero."""
 
 
 @dataclass(frozen=True)

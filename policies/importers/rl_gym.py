@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
+from downbeat.catalog.robot import load_g1
 from downbeat.policies.errors import PolicyError
 from downbeat.policies.importers.build import check_against_network, joints
 from downbeat.policies.importers.context import Draft, ImportContext
@@ -89,7 +90,7 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
         action_offset=moved.offset,
         joint_stiffness=moved.stiffness,
         joint_damping=moved.damping,
-        held=_held(ctx, moved.names),
+        held=_held(ctx, profile, f"built-in profile {name}"),
         recurrent=recurrent_pairs(network, obs_input, action),
         gait=GaitSpec(period, start=TICK_S / period),
     )
@@ -143,11 +144,9 @@ def recurrent_pairs(network: Network, obs_input: str, action: str) -> tuple[Recu
     return tuple(pairs)
 
 
-def _held(ctx: ImportContext, moved: tuple[str, ...]) -> HeldJoints:
-    """The author's model has waist and arms locked at zero."""
-    from downbeat.policies.importers.build import held_joints
-
-    held = held_joints(ctx, moved)
-    zeros = (0.0,) * len(held.joint_names)
-    ctx.inferred.append("held joint_pos = 0: the author's 12-joint model has them locked there")
-    return HeldJoints(held.joint_names, zeros, held.joint_stiffness, held.joint_damping)
+def _held(ctx: ImportContext, profile: RlGymProfile, source: str) -> HeldJoints:
+    """Waist and arms at zero, as stiff as the author holds them on the robot."""
+    names = tuple(n for n in load_g1().joint_names if n not in profile.joint_names)
+    ctx.inferred.append(f"held joints = waist and arms at 0 rad, author's gains: {source}")
+    zeros = (0.0,) * len(names)
+    return HeldJoints(names, zeros, profile.held_kps, profile.held_kds)
