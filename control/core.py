@@ -14,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from downbeat.catalog.robot import load_g1
+from downbeat.control.balance import FallPredictor, tilt_and_rate
 from downbeat.control.director import Director, Frame
 from downbeat.control.estimate import NO_ESTIMATE, Estimate, StateEstimator
 from downbeat.control.faults import FAULTS, Reaction
@@ -104,6 +105,7 @@ class ControlCore:
         self.director = Director(library, self.config.fallback)
         self.safety = SafetyMonitor()
         self.estimator = StateEstimator()
+        self.predictor = FallPredictor()
         self.fault: RaisedFault | None = None
         self._armed = False
         self._latched_fault: RaisedFault | None = None
@@ -212,23 +214,34 @@ class ControlCore:
 
     def _watch_state(self, inputs: TickInput, state: RobotState | None, estimate: Estimate) -> None:
         """Apply the fault table to what was measured."""
-        limits = self.director.limits
-        falling = None
+        falling = self._falling(state, estimate)
         measured = Measured(
             utime=inputs.utime,
             msg=inputs.state,
             state=state,
             state_age_us=inputs.state_age_us,
             foreign_states=inputs.foreign_states,
-            falling_m=falling if self.director.playback is not None else None,
+            falling=falling,
             estop=_estop_text(inputs.estops),
         )
         wants_stand = ""
-        for raised in self.safety.judge_state(measured, limits):
+        for raised in self.safety.judge_state(measured, self.director.limits):
             self._react(raised, state, inputs.utime)
             if raised.fault.reaction == Reaction.STAND:
                 wants_stand = wants_stand or raised.text
         self.director.close(wants_stand)
+
+    def _falling(self, state: RobotState | None, estimate: Estimate) -> str:
+        """Return what says that a fall is coming; empty: nothing does, or nothing is played."""
+        limits = self.director.fall_limits
+        if state is None or limits is None:
+            self.predictor.reset()
+            return ""
+        lean, rate = tilt_and_rate(state.base_quat_wxyz.tolist(), state.base_ang_vel.tolist())
+        prediction = self.predictor.update(estimate, lean, rate, limits)
+        if not prediction.is_falling:
+            return ""
+        return f"{prediction.cause.replace('_', ' ')} {prediction.value:.2f}"
 
     def _react(self, raised: RaisedFault, state: RobotState | None, now: int) -> None:
         """Apply one raised row; the hardest reaction is the one that is reported."""
@@ -291,6 +304,7 @@ class ControlCore:
                 "move_start_utime": self._move_start_utime,
                 "safety": self.safety.to_state(),
                 "estimator": self.estimator.state,
+                "predictor": self.predictor.state,
                 "director": self.director.to_state(),
             }
         )
@@ -309,6 +323,7 @@ class ControlCore:
         self._move_start_utime = state["move_start_utime"]
         self.safety.from_state(state["safety"])
         self.estimator.state = state["estimator"]
+        self.predictor.state = state["predictor"]
         self.director.from_state(state["director"])
 
     # ------------------------------------------------------------------ output

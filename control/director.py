@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from downbeat.control.balance import LIMITS, FallLimits
 from downbeat.control.errors import ControlError
 from downbeat.control.observation import RobotState
 from downbeat.control.phase import TICK_US, PhaseLine
@@ -19,7 +20,7 @@ from downbeat.control.safety import looser
 from downbeat.control.skill import JointTargets, SkillOutput
 from downbeat.control.transitions import Goal, Hop, half_us, next_hop, walk_stop_lead_us
 from downbeat.lcm_types import control_status_t, skill_request_t, skill_status_t
-from downbeat.policies.manifest import SkillLimits
+from downbeat.policies.manifest import SkillLimits, SkillManifest
 from downbeat.runtime.errors import one_of
 
 STATE_FIELDS = (
@@ -52,6 +53,21 @@ class Frame:
 
     parts: tuple[tuple[str, SkillOutput], ...]
     targets: JointTargets
+
+
+LEARNED_FALL_LIMITS = FallLimits(step_margin_m=-math.inf, tilt_ahead_rad=1.0, base_height_m=0.35)
+"""Learned motions step and lean where they like, and catch themselves."""
+
+
+def fall_limits(manifest: SkillManifest) -> FallLimits:
+    """Return what counts as falling while a skill plays: its own limits, else its kind's."""
+    kind = LEARNED_FALL_LIMITS if manifest.policy is not None else LIMITS[manifest.kind]
+    own = manifest.limits
+    return FallLimits(
+        kind.step_margin_m if own.fall_step_margin_m is None else own.fall_step_margin_m,
+        kind.tilt_ahead_rad if own.fall_tilt_ahead_rad is None else own.fall_tilt_ahead_rad,
+        kind.base_height_m,
+    )
 
 
 class Director:
@@ -99,6 +115,21 @@ class Director:
         if self.blend is None:
             return own
         return looser(own, self.blend.outgoing.skill.manifest.limits)
+
+    @property
+    def fall_limits(self) -> FallLimits | None:
+        """What counts as falling now, during a blend the wider of the two; None: nothing plays."""
+        if self.playback is None:
+            return None
+        own = fall_limits(self.playback.skill.manifest)
+        if self.blend is None:
+            return own
+        other = fall_limits(self.blend.outgoing.skill.manifest)
+        return FallLimits(
+            step_margin_m=min(own.step_margin_m, other.step_margin_m),
+            tilt_ahead_rad=max(own.tilt_ahead_rad, other.tilt_ahead_rad),
+            base_height_m=min(own.base_height_m, other.base_height_m),
+        )
 
     def receive(self, msg: skill_request_t, now: int, tick: int, on_hardware: bool) -> None:
         """Take one SKILL_REQUEST; every answer is a status."""

@@ -58,7 +58,7 @@ STATE_FAULTS: FaultTable[Reaction] = FaultTable(
             11,
             "falling",
             Reaction.FALLBACK,
-            "A fall is coming: the capture point is {} m outside the soles.",
+            "A fall is coming: {}.",
         ),
         Fault(
             12,

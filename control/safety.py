@@ -74,7 +74,7 @@ class Measured:
         state: The same as arrays.
         state_age_us: Its age [us], negative if it is stamped in the future.
         foreign_states: Messages of a second publisher on G1_LOW_STATE so far.
-        falling_m: How far outside the soles the predicted fall is [m]; None: no fall is coming.
+        falling: What says that a fall is coming; empty: nothing does.
         estop: Who asked for an emergency stop, empty: nobody.
     """
 
@@ -83,7 +83,7 @@ class Measured:
     state: RobotState | None
     state_age_us: int
     foreign_states: int = 0
-    falling_m: float | None = None
+    falling: str = ""
     estop: str = ""
 
 
@@ -117,8 +117,8 @@ class SafetyMonitor:
         if measured.state is not None and measured.msg is not None:
             self._judge_motion(measured.state, measured.msg, limits, found)
             self._judge_body(measured.msg, limits, found)
-        if measured.falling_m is not None:
-            found["falling"] = f"{measured.falling_m:.2f}"
+        if measured.falling:
+            found["falling"] = measured.falling
         return self._raised(self._state, found)
 
     def _judge_time(self, measured: Measured, found: dict[str, object]) -> None:
@@ -255,15 +255,12 @@ class SafetyMonitor:
 
 def looser(a: SkillLimits, b: SkillLimits) -> SkillLimits:
     """Return the looser of two skills' limits: what a blend between them may do."""
-    margins = (a.support_margin_m, b.support_margin_m)
-    margin = None if None in margins else min(m for m in margins if m is not None)
     return SkillLimits(
         tilt_rad=max(a.tilt_rad, b.tilt_rad),
         joint_range_tolerance_rad=max(a.joint_range_tolerance_rad, b.joint_range_tolerance_rad),
         joint_speed_ratio=max(a.joint_speed_ratio, b.joint_speed_ratio),
         torque_ratio=max(a.torque_ratio, b.torque_ratio),
         saturated_s=max(a.saturated_s, b.saturated_s),
-        support_margin_m=margin,
     )
 
 

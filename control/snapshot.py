@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from downbeat.control.balance import PredictorState
 from downbeat.control.errors import ControlError
 from downbeat.control.estimate import EstimatorState
 from downbeat.control.motion import Alignment
@@ -39,6 +40,7 @@ _CLASSES: Mapping[str, type] = {
         PhaseFollower,
         PhaseLine,
         Playback,
+        PredictorState,
         Request,
         SafetyCounters,
         SkillMemory,

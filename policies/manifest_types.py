@@ -43,8 +43,10 @@ class SkillLimits:
         joint_speed_ratio: Of a joint's speed limit.
         torque_ratio: Share of the effort limit that counts as saturated.
         saturated_s: How long a joint may be saturated without a break [s].
-        support_margin_m: How far the capture point may leave the soles before a fall is called
-            [m], negative: outside; None: it is not watched (a skill that jumps or runs).
+        fall_step_margin_m: A fall is called when the capture point is farther outside both soles
+            than this [m], negative: outside; None: the value of the skill's kind.
+        fall_tilt_ahead_rad: ... or when the tilt 0.2 s ahead is more than this [rad]; None: the
+            value of the skill's kind.
     """
 
     tilt_rad: float = 0.8
@@ -52,7 +54,8 @@ class SkillLimits:
     joint_speed_ratio: float = 1.2
     torque_ratio: float = 0.98
     saturated_s: float = 0.5
-    support_margin_m: float | None = None
+    fall_step_margin_m: float | None = None
+    fall_tilt_ahead_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
