@@ -7,7 +7,7 @@ the batch check restores it and runs the same lines.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any, cast
 
@@ -141,18 +141,19 @@ class ControlCore:
         msg = inputs.state
         if msg is None:
             return None, NO_ESTIMATE
-        imu = msg.imu_pelvis
-        quat, gyro = np.asarray(imu.quat, np.float32), np.asarray(imu.gyro, np.float32)
-        pos, vel = np.asarray(msg.joint_pos, np.float32), np.asarray(msg.joint_vel, np.float32)
-        accel = np.asarray(imu.accel, np.float32)
+        state = robot_state(msg)
         estimate = self.estimator.update(
-            quat.tolist(), gyro.tolist(), accel.tolist(), pos.tolist(), vel.tolist()
+            state.base_quat_wxyz.tolist(),
+            state.base_ang_vel.tolist(),
+            np.asarray(msg.imu_pelvis.accel, np.float32).tolist(),
+            state.joint_pos.tolist(),
+            state.joint_vel.tolist(),
         )
-        lin_vel = base_pos = None
-        if math.isfinite(estimate.support_margin):
-            lin_vel = np.array(estimate.base_lin_vel, np.float32)
-            base_pos = np.array(estimate.base_pos, np.float32)
-        return RobotState(quat, gyro, pos, vel, lin_vel, base_pos), estimate
+        if not math.isfinite(estimate.base_height):
+            return state, estimate
+        lin_vel = np.array(estimate.base_lin_vel, np.float32)
+        base_pos = np.array(estimate.base_pos, np.float32)
+        return replace(state, base_lin_vel=lin_vel, base_pos=base_pos), estimate
 
     def _act(
         self, inputs: TickInput, state: RobotState | None
@@ -370,6 +371,17 @@ class ControlCore:
             status.fault = self.fault.fault.id
             status.fault_text = self.fault.text
         return status
+
+
+def robot_state(msg: g1_low_state_t) -> RobotState:
+    """Return what a message measures (float32, motor order); place and speed are not known."""
+    imu = msg.imu_pelvis
+    return RobotState(
+        np.asarray(imu.quat, np.float32),
+        np.asarray(imu.gyro, np.float32),
+        np.asarray(msg.joint_pos, np.float32),
+        np.asarray(msg.joint_vel, np.float32),
+    )
 
 
 def _estop_text(estops: tuple[estop_t, ...]) -> str:
