@@ -275,7 +275,9 @@ class StateEstimator:
                 f"The estimator's state cannot be restored from {', '.join(values)}; it has"
                 f" {', '.join(f'{k} {n}' for k, n in shape.items())}."
             )
-        fields = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        fields: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
+        }
         self.state = EstimatorState(**fields)
 
 

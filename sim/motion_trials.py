@@ -127,12 +127,15 @@ class _Driver:
         """Nothing to release."""
 
 
-def play(library: SkillLibrary, trial: MotionTrial) -> Iterator[Sample]:
+def play(
+    library: SkillLibrary, trial: MotionTrial, core: ControlCore | None = None
+) -> Iterator[Sample]:
     """Play a trial; every tick from the release of the robot on, time below 0 before the request.
 
     Args:
         library: The skills.
         trial: What to do.
+        core: A fresh one that plays the library; None: with its default settings.
 
     Raises:
         SimError: A setting is impossible.
@@ -143,7 +146,7 @@ def play(library: SkillLibrary, trial: MotionTrial) -> Iterator[Sample]:
         mass_scale=trial.mass_scale, friction=trial.friction, noise=trial.noise, seed=trial.seed
     )
     sim = SimNode(hub.endpoint("sim", clock), config)
-    driver = _Driver(hub.endpoint("control", clock), ControlCore(library))
+    driver = _Driver(hub.endpoint("control", clock), core or ControlCore(library))
     scheduler = Lockstep(clock, (sim, driver))
     asked_utime = clock.utime() + round(STAND_S * 1e6)
     plant = sim.plant
