@@ -145,7 +145,7 @@ def test_sums_are_simplified_before_they_are_written():
 
 def test_control_kinematics_load_without_a_simulator():
     script = (
-        "import sys, downbeat.control.kinematics;"
+        "import sys, downbeat.control.kinematics, downbeat.control.estimate;"
         "print([m for m in ('mujoco', 'jax', 'torch', 'scipy') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
