@@ -112,6 +112,7 @@ class ControlCore:
         self._move_from: F32 | None = None
         self._move_start_utime = 0
         self._tripped = False
+        self._sent: F32 | None = None
         robot = load_g1()
         self._default_pos = np.asarray(robot.default_joint_pos, np.float32)  # (29,)
         self._stiffness = np.asarray(robot.joint_stiffness, np.float32)  # (29,)
@@ -303,6 +304,7 @@ class ControlCore:
                 "latched": _fault_state(self._latched_fault),
                 "move_from": self._move_from,
                 "move_start_utime": self._move_start_utime,
+                "sent": self._sent,
                 "safety": self.safety.to_state(),
                 "estimator": self.estimator.state,
                 "predictor": self.predictor.state,
@@ -322,6 +324,7 @@ class ControlCore:
         self._latched_fault = _fault_from(state["latched"])
         self._move_from = state["move_from"]
         self._move_start_utime = state["move_start_utime"]
+        self._sent = state["sent"]
         self.safety.from_state(state["safety"])
         self.estimator.state = state["estimator"]
         self.predictor.state = state["predictor"]
@@ -367,10 +370,19 @@ class ControlCore:
         status.tilt = 0.0 if state is None else float(tilt(state.base_quat_wxyz))
         status.base_height = estimate.base_height
         status.support_margin = estimate.support_margin
+        status.target_jump = self._target_jump(command)
         if self.fault is not None:
             status.fault = self.fault.fault.id
             status.fault_text = self.fault.text
         return status
+
+    def _target_jump(self, command: g1_low_cmd_t) -> float:
+        """Return the largest one-tick change of a position target [rad]; 0 without targets."""
+        before, self._sent = self._sent, None
+        if command.mode != g1_low_cmd_t.MODE_POSITION:
+            return 0.0
+        self._sent = np.asarray(command.joint_pos_target, np.float32)
+        return 0.0 if before is None else float(np.abs(self._sent - before).max())
 
 
 def robot_state(msg: g1_low_state_t) -> RobotState:

@@ -86,6 +86,8 @@ class Director:
             )
         self.library = library
         self.fallback = fallback
+        learned = library[fallback].manifest.policy is not None
+        self.balance = fallback if learned else ""
         self.book = RequestBook(library.__contains__, library.names)
         self.playback: Playback | None = None
         self.blend: Blend | None = None
@@ -211,7 +213,15 @@ class Director:
             return
         self._slow_down(playback, goal, now)
         still = playback.velocity is None or playback.velocity.is_still
-        hop = next_hop(playback.skill.manifest, playback.follower, still, goal, now)
+        hop = next_hop(
+            playback.skill.manifest,
+            playback.follower,
+            still,
+            goal,
+            now,
+            self.balance,
+            now - self._alone_since_utime,
+        )
         if hop is not None and hop.start_utime <= now + TICK_US // 2:
             self._start_hop(hop, request, playback, state, now)
 

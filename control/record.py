@@ -115,6 +115,7 @@ def status_hash(status: control_status_t) -> int:
                 status.tilt,
                 status.base_height,
                 status.support_margin,
+                status.target_jump,
                 status.fault,
                 status.fault_text,
             )

@@ -21,6 +21,10 @@ PLANTED_BLEND_TICKS = 30
 FOOTWORK_BLEND_TICKS = 15
 """0.3 s between stand and footwork at its phase 0."""
 WALK_BLEND_TICKS = 10
+LEARNED_BLEND_TICKS = 15
+"""0.3 s to or from an imported policy, which balances by itself while it is faded in."""
+BALANCE_HOLD_TICKS = 50
+"""1 s in the balance policy between a learned motion and our own skills."""
 STAND_HOLD_TICKS = 15
 """Stand time between two blends of a route via stand."""
 SNAP_TO_BEAT_US = 60_000
@@ -82,8 +86,19 @@ def is_planted(skill: SkillManifest) -> bool:
     return skill.kind == "planted"
 
 
+def is_learned(skill: SkillManifest) -> bool:
+    """Whether an imported policy moves the robot: it balances from wherever it is."""
+    return skill.policy is not None
+
+
 def next_hop(
-    active: SkillManifest, follower: PhaseFollower, still: bool, goal: Goal, now: int
+    active: SkillManifest,
+    follower: PhaseFollower,
+    still: bool,
+    goal: Goal,
+    now: int,
+    balance: str = "",
+    alone_us: int = 0,
 ) -> Hop | None:
     """Return the next hop from `active` towards `goal`, or None while it must wait.
 
@@ -93,10 +108,14 @@ def next_hop(
         still: For locomotion: the commanded velocity is zero.
         goal: What is wanted.
         now: [us].
+        balance: An imported policy that stands wherever it is put; empty: there is none.
+        alone_us: For how long `active` has run alone [us].
 
     Returns:
         A hop whose `start_utime` may lie in the future; the caller starts it when it is due.
     """
+    if is_learned(active):
+        return _from_learned(active, follower, goal, now, balance, alone_us)
     if is_planted(active):
         return _from_planted(active, goal, now)
     if active.kind == "locomotion":
@@ -104,8 +123,45 @@ def next_hop(
     return _from_footwork(active, follower, goal, now)
 
 
+def _from_learned(
+    active: SkillManifest,
+    follower: PhaseFollower,
+    goal: Goal,
+    now: int,
+    balance: str,
+    alone_us: int,
+) -> Hop:
+    """Leave an imported policy: to another one anywhere, to our own skills from calm feet.
+
+    Our skills expect the feet side by side. In the middle of a learned motion they are anywhere, so
+    the way leads over the balance policy; without one the motion is played to its end.
+    """
+    skill = goal.skill
+    if is_learned(skill):
+        start = goal.onset_utime - half_us(LEARNED_BLEND_TICKS)
+        return Hop(max(start, now), skill.name, LEARNED_BLEND_TICKS)
+    target, lead = skill.name, half_us(PLANTED_BLEND_TICKS)
+    if not is_planted(skill):
+        blend = WALK_BLEND_TICKS if skill.kind == "locomotion" else FOOTWORK_BLEND_TICKS
+        target = "stand"
+        lead = half_us(blend) + (STAND_HOLD_TICKS + PLANTED_BLEND_TICKS) * TICK_US
+    if active.kind == "tracking" and balance and balance != active.name:
+        lead += BALANCE_HOLD_TICKS * TICK_US + half_us(LEARNED_BLEND_TICKS)
+        return Hop(max(goal.onset_utime - lead, now), balance, LEARNED_BLEND_TICKS)
+    start = goal.onset_utime - lead
+    if active.kind == "tracking":
+        left_s = (follower.duration_s - follower.phase_s) / max(follower.rate, 1e-3)
+        start = max(start, now + round(left_s * 1e6))
+    elif active.name == balance:
+        start = max(start, now + BALANCE_HOLD_TICKS * TICK_US - alone_us)
+    return Hop(max(start, now), target, PLANTED_BLEND_TICKS)
+
+
 def _from_planted(active: SkillManifest, goal: Goal, now: int) -> Hop:
     skill = goal.skill
+    if is_learned(skill):
+        start = goal.onset_utime - half_us(LEARNED_BLEND_TICKS)
+        return Hop(max(start, now), skill.name, LEARNED_BLEND_TICKS)
     if is_planted(skill):
         start = goal.onset_utime - half_us(PLANTED_BLEND_TICKS)
         return Hop(max(start, now), skill.name, PLANTED_BLEND_TICKS)

@@ -12,11 +12,11 @@ import downbeat.lcm_types
 class control_status_t(object):
     """ CONTROL_STATUS, every tick. Equal hashes = bit-exact replay. """
 
-    __slots__ = ["header", "tick", "state_seq", "mode", "skill", "previous_skill", "phase_s", "phase_rate", "blend_weight", "request_id", "input_hash", "obs_hash", "action_hash", "command_hash", "lateness_us", "compute_us", "missed", "state_age_us", "states_lost", "rejected", "tilt", "base_height", "support_margin", "fault", "fault_text"]
+    __slots__ = ["header", "tick", "state_seq", "mode", "skill", "previous_skill", "phase_s", "phase_rate", "blend_weight", "request_id", "input_hash", "obs_hash", "action_hash", "command_hash", "lateness_us", "compute_us", "missed", "state_age_us", "states_lost", "rejected", "tilt", "base_height", "support_margin", "target_jump", "fault", "fault_text"]
 
-    __typenames__ = ["downbeat.lcm_types.header_t", "int64_t", "int64_t", "int8_t", "string", "string", "double", "double", "float", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "int32_t", "int32_t", "int32_t", "int32_t", "int32_t", "int32_t", "float", "float", "float", "int16_t", "string"]
+    __typenames__ = ["downbeat.lcm_types.header_t", "int64_t", "int64_t", "int8_t", "string", "string", "double", "double", "float", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "int32_t", "int32_t", "int32_t", "int32_t", "int32_t", "int32_t", "float", "float", "float", "float", "int16_t", "string"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None]
 
     ZERO_TORQUE = 0
     DAMPING = 1
@@ -138,7 +138,13 @@ class control_status_t(object):
 
         self.support_margin = 0.0
         """
-        [m], NaN if unknown
+        [m] of the capture point inside the soles on the ground, NaN if unknown
+        LCM Type: float
+        """
+
+        self.target_jump = 0.0
+        """
+        [rad] largest change of a joint target since the previous tick, 0 if none was sent
         LCM Type: float
         """
 
@@ -169,7 +175,7 @@ class control_status_t(object):
         buf.write(struct.pack('>I', len(__previous_skill_encoded)+1))
         buf.write(__previous_skill_encoded)
         buf.write(b"\0")
-        buf.write(struct.pack(">ddfqqqqqiiiiiifffh", self.phase_s, self.phase_rate, self.blend_weight, self.request_id, self.input_hash, self.obs_hash, self.action_hash, self.command_hash, self.lateness_us, self.compute_us, self.missed, self.state_age_us, self.states_lost, self.rejected, self.tilt, self.base_height, self.support_margin, self.fault))
+        buf.write(struct.pack(">ddfqqqqqiiiiiiffffh", self.phase_s, self.phase_rate, self.blend_weight, self.request_id, self.input_hash, self.obs_hash, self.action_hash, self.command_hash, self.lateness_us, self.compute_us, self.missed, self.state_age_us, self.states_lost, self.rejected, self.tilt, self.base_height, self.support_margin, self.target_jump, self.fault))
         __fault_text_encoded = self.fault_text.encode('utf-8')
         buf.write(struct.pack('>I', len(__fault_text_encoded)+1))
         buf.write(__fault_text_encoded)
@@ -194,7 +200,7 @@ class control_status_t(object):
         self.skill = buf.read(__skill_len)[:-1].decode('utf-8', 'replace')
         __previous_skill_len = struct.unpack('>I', buf.read(4))[0]
         self.previous_skill = buf.read(__previous_skill_len)[:-1].decode('utf-8', 'replace')
-        self.phase_s, self.phase_rate, self.blend_weight, self.request_id, self.input_hash, self.obs_hash, self.action_hash, self.command_hash, self.lateness_us, self.compute_us, self.missed, self.state_age_us, self.states_lost, self.rejected, self.tilt, self.base_height, self.support_margin, self.fault = struct.unpack(">ddfqqqqqiiiiiifffh", buf.read(98))
+        self.phase_s, self.phase_rate, self.blend_weight, self.request_id, self.input_hash, self.obs_hash, self.action_hash, self.command_hash, self.lateness_us, self.compute_us, self.missed, self.state_age_us, self.states_lost, self.rejected, self.tilt, self.base_height, self.support_margin, self.target_jump, self.fault = struct.unpack(">ddfqqqqqiiiiiiffffh", buf.read(102))
         __fault_text_len = struct.unpack('>I', buf.read(4))[0]
         self.fault_text = buf.read(__fault_text_len)[:-1].decode('utf-8', 'replace')
         return self
@@ -203,7 +209,7 @@ class control_status_t(object):
     def _get_hash_recursive(parents):
         if control_status_t in parents: return 0
         newparents = parents + [control_status_t]
-        tmphash = (0xb373e33d20454a2+ downbeat.lcm_types.header_t._get_hash_recursive(newparents)) & 0xffffffffffffffff
+        tmphash = (0x5c039a34f5892df+ downbeat.lcm_types.header_t._get_hash_recursive(newparents)) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None
