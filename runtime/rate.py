@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from downbeat.runtime.clock import WaitingClock
 
@@ -51,6 +52,13 @@ class DurationRecorder:
         self._samples[self._count % len(self._samples)] = self.last_us
         self._count += 1
         self._max = max(self._max, self.last_us)
+
+    def samples(self) -> npt.NDArray[np.int32]:
+        """Return the samples kept, oldest first, (n,) [us]."""
+        size = len(self._samples)
+        if self._count <= size:
+            return self._samples[: self._count].copy()
+        return np.roll(self._samples, -(self._count % size))
 
     def stats(self) -> DurationStats:
         """Return the percentiles of the samples kept and the maximum of all."""

@@ -6,6 +6,8 @@ import ctypes
 import gc
 import os
 import signal
+import threading
+from contextlib import suppress
 from dataclasses import dataclass
 
 PR_SET_PDEATHSIG = 1
@@ -24,6 +26,7 @@ class RealTimeReport:
     Attributes:
         scheduler: "fifo" or "other".
         priority: SCHED_FIFO priority, 0 if "other".
+        cpus: The processors that the process may use.
         memory_locked: Pages stay in memory once touched.
         gc_frozen: Python's garbage collector is off.
         messages: One sentence per thing that was not granted, with the remedy.
@@ -31,21 +34,28 @@ class RealTimeReport:
 
     scheduler: str
     priority: int
+    cpus: tuple[int, ...]
     memory_locked: bool
     gc_frozen: bool
     messages: tuple[str, ...]
 
 
-def configure_real_time(priority: int = CONTROL_PRIORITY, freeze_gc: bool = True) -> RealTimeReport:
-    """Make the calling thread a real-time one, as far as this machine permits.
+def configure_real_time(
+    priority: int = CONTROL_PRIORITY, freeze_gc: bool = True, cpu: int | None = None
+) -> RealTimeReport:
+    """Make the calling process a real-time one, as far as this machine permits.
 
-    Call it after everything is loaded and warm, before the first tick.
+    Call it from the main thread after everything is loaded and warm and every channel subscribed,
+    before the first tick: threads that start later run without the right.
 
     Args:
         priority: SCHED_FIFO priority, 1..99.
         freeze_gc: Collect once, then switch the garbage collector off.
+        cpu: Pin the process to this processor; None: to none.
     """
     messages: list[str] = []
+    if cpu is not None:
+        _try_pin(cpu, messages)
     granted = _try_fifo(priority, messages)
     locked = _try_lock_memory(messages)
     if freeze_gc:
@@ -56,16 +66,39 @@ def configure_real_time(priority: int = CONTROL_PRIORITY, freeze_gc: bool = True
     return RealTimeReport(
         scheduler="fifo" if granted else "other",
         priority=priority if granted else 0,
+        cpus=tuple(sorted(os.sched_getaffinity(0))),
         memory_locked=locked,
         gc_frozen=freeze_gc,
         messages=tuple(messages),
     )
 
 
-def _try_fifo(priority: int, messages: list[str]) -> bool:
+def _other_threads() -> list[int]:
+    """Return the thread ids of this process without the caller's."""
+    own = threading.get_native_id()
+    return [int(name) for name in os.listdir("/proc/self/task") if int(name) != own]
+
+
+def _try_pin(cpu: int, messages: list[str]) -> None:
     try:
-        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setaffinity(0, {cpu})
+        for thread in _other_threads():
+            with suppress(ProcessLookupError):
+                os.sched_setaffinity(thread, {cpu})
+    except (OSError, ValueError) as error:
+        allowed = ", ".join(str(number) for number in sorted(os.sched_getaffinity(0)))
+        messages.append(f"Processor {cpu} cannot be used ({error}); valid are {allowed}.")
+
+
+def _try_fifo(priority: int, messages: list[str]) -> bool:
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    try:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
+        # LCM reads the socket in a thread of its own and shares a lock with us: left behind, it
+        # starves on a busy machine, and messages wait in the kernel while ticks find none.
+        for thread in _other_threads():
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(thread, policy, os.sched_param(priority))
     except (OSError, AttributeError) as error:
         messages.append(
             f"SCHED_FIFO {priority} is not permitted ({error}); loops may wake late. "

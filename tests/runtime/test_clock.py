@@ -107,6 +107,16 @@ def test_percentiles_are_of_the_samples_and_the_maximum_of_all():
     assert stats.p999_us == pytest.approx(999.001)
 
 
+def test_samples_come_back_in_order_and_the_oldest_go_first():
+    recorder = DurationRecorder(capacity=4)
+    for value in (1, 2, 3):
+        recorder.add(value)
+    assert recorder.samples().tolist() == [1, 2, 3]
+    for value in (4, 5, 6):
+        recorder.add(value)
+    assert recorder.samples().tolist() == [3, 4, 5, 6]
+
+
 class CountingNode:
     name = "control"
     period_us = 20_000
@@ -195,6 +205,41 @@ def test_real_time_setup_degrades_with_one_sentence_each():
         "assert len(report.messages) == sum(refused)\n"
         "is_fifo = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO\n"
         "assert is_fifo == (report.scheduler == 'fifo')\n"
+        "print('ok')\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout == "ok\n", result.stderr
+
+
+def test_threads_of_the_bus_get_the_right_as_well(free_url):
+    code = (
+        "import os\n"
+        "from downbeat.runtime.bus import open_udpm\n"
+        "from downbeat.runtime.clock import WallClock\n"
+        "from downbeat.runtime.realtime import configure_real_time\n"
+        f"bus = open_udpm({free_url!r}, WallClock(), 'control')\n"
+        "bus.subscribe('G1_LOW_STATE')\n"
+        "report = configure_real_time(30)\n"
+        "threads = [int(name) for name in os.listdir('/proc/self/task')]\n"
+        "assert len(threads) > 1\n"
+        "policies = {os.sched_getscheduler(t) & ~os.SCHED_RESET_ON_FORK for t in threads}\n"
+        "wanted = os.SCHED_FIFO if report.scheduler == 'fifo' else os.SCHED_OTHER\n"
+        "assert policies == {wanted}, policies\n"
+        "print('ok')\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout == "ok\n", result.stderr
+
+
+def test_process_is_pinned_when_asked_and_an_impossible_processor_is_named():
+    code = (
+        "import os\n"
+        "from downbeat.runtime.realtime import configure_real_time\n"
+        "last = max(os.sched_getaffinity(0))\n"
+        "report = configure_real_time(30, freeze_gc=False, cpu=4096)\n"
+        "assert any('4096' in text and str(last) in text for text in report.messages)\n"
+        "report = configure_real_time(30, freeze_gc=False, cpu=last)\n"
+        "assert report.cpus == (last,) and os.sched_getaffinity(0) == {last}\n"
         "print('ok')\n"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
