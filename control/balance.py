@@ -8,7 +8,7 @@ what the limits below rest on.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -114,7 +114,7 @@ class FallPredictor:
             estimate: Of this tick.
             tilt: [rad] of the pelvis from the vertical.
             tilt_rate: [rad/s] its growth.
-            limits: Of what is played, from `limits_for`.
+            limits: Of what is played.
         """
         config, state = self.config, self.state
         cause, value = _passed(estimate, tilt + LOOK_AHEAD_S * max(0.0, tilt_rate), limits)
@@ -146,23 +146,6 @@ class FallPredictor:
                 f" {', '.join(asdict(self.state))}."
             )
         self.state = PredictorState(**values)
-
-
-def limits_for(kinds: Iterable[str]) -> FallLimits:
-    """Return the limits while skills of these kinds are in play, the widest of each.
-
-    Args:
-        kinds: Of all skills that blend; one that is not in LIMITS gets the widest limits there are.
-    """
-    every = tuple(LIMITS.values())
-    chosen = [limits for kind in kinds for limits in ((LIMITS[kind],) if kind in LIMITS else every)]
-    if not chosen:
-        chosen = list(every)
-    return FallLimits(
-        step_margin_m=min(limits.step_margin_m for limits in chosen),
-        tilt_ahead_rad=max(limits.tilt_ahead_rad for limits in chosen),
-        base_height_m=min(limits.base_height_m for limits in chosen),
-    )
 
 
 def tilt_and_rate(base_quat_wxyz: Sequence[float], gyro: Sequence[float]) -> tuple[float, float]:

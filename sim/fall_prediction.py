@@ -6,7 +6,8 @@ First every skill dances undisturbed, on robots that are 10 % heavier, lighter, 
 faster and slower, and into other skills: an alarm there would be false. Then every skill is pushed,
 5 to 60 N s on the torso within 0.1 s, from anywhere, at any moment. A fall is a pelvis below 0.4 m
 or tilted by more than 0.8 rad within 4 s of the push. The plant is the show's: 2 ms steps, sensor
-noise, 4 ms command delay; the estimate sees what control sees.
+noise, 4 ms command delay; the estimate sees what control sees. Control itself does not react to its
+prediction here, so that it shows who would have stayed on his feet.
 """
 
 from __future__ import annotations
@@ -22,13 +23,15 @@ from pathlib import Path
 
 import numpy as np
 
-from downbeat.control.balance import FallPredictor, limits_for, tilt_and_rate
+from downbeat.control.balance import FallPredictor, PredictorConfig, tilt_and_rate
+from downbeat.control.core import ControlCore
 from downbeat.control.estimate import Estimate, StateEstimator
 from downbeat.control.policy import SkillLibrary
 from downbeat.control.vectors import rotation_of
 from downbeat.policies.manifest import load_skills
 from downbeat.sim.motion_trials import MotionTrial, Push, Sample, play
 
+NEVER = PredictorConfig(raise_after_ticks=10**9)
 FALLEN_M = 0.4
 FALLEN_RAD = 0.8
 SETTLED_S = -0.5
@@ -71,25 +74,25 @@ class Outcome:
 def watch(library: SkillLibrary, trial: MotionTrial) -> Outcome:
     """Play a trial with an estimator and a predictor looking on."""
     estimator, predictor = StateEstimator(), FallPredictor()
-    kinds = {name: library[name].manifest.kind for name in library.names}
+    core = ControlCore(library)
+    core.predictor = FallPredictor(NEVER)
     alarm_s: float | None = None
     fell_s: float | None = None
     kind = cause = ""
     margins: list[tuple[float, float]] = []
     largest_tilt = 0.0
     pushed_s = trial.seconds if trial.push is None else trial.push.start_s
-    for sample in play(library, trial):
+    for sample in play(library, trial, core):
         if _has_fallen(sample):
             fell_s = sample.time_s
             break
         estimate, tilt, tilt_rate = look(estimator, sample)
-        if sample.time_s < SETTLED_S:
+        limits = core.director.fall_limits
+        if sample.time_s < SETTLED_S or limits is None:
             continue
-        playing = [sample.status.skill, sample.status.previous_skill]
-        playing_kinds = tuple(kinds[name] for name in playing if name in kinds)
-        if sample.time_s <= pushed_s and playing_kinds:
-            kind = playing_kinds[0]
-        prediction = predictor.update(estimate, tilt, tilt_rate, limits_for(playing_kinds))
+        if sample.time_s <= pushed_s:
+            kind = library[sample.status.skill].manifest.kind
+        prediction = predictor.update(estimate, tilt, tilt_rate, limits)
         if prediction.is_falling and alarm_s is None:
             alarm_s, cause = sample.time_s, prediction.cause
         margins.append((estimate.support_margin, estimate.step_margin))
@@ -235,22 +238,25 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--skills", type=Path, default=None, help="folder; default: the bundled")
     parser.add_argument("--only", nargs="*", default=None, help="names of skills")
-    parser.add_argument("--runs", type=int, default=4, help="per skill and impulse; 0: no pushes")
+    parser.add_argument("--part", choices=("all", "calm", "pushed"), default="all")
+    parser.add_argument("--runs", type=int, default=4, help="per skill and impulse")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
     manifests = load_skills(args.skills)
     names = sorted(args.only or manifests)
     tempos = frozenset(n for n in names if manifests[n].bpm > 0)
-    calm = calm_trials(names, tempos)
-    trials = calm + pushed_trials(names, args.runs, args.seed)
-    jobs = [(args.skills, trial) for trial in trials]
+    calm = [] if args.part == "pushed" else calm_trials(names, tempos)
+    pushed = [] if args.part == "calm" else pushed_trials(names, args.runs, args.seed)
+    jobs = [(args.skills, trial) for trial in calm + pushed]
     with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
         outcomes = list(pool.map(_watch, jobs, chunksize=4))
-    print("\n".join(calm_lines(outcomes[: len(calm)])))
-    if args.runs:
-        print("\n" + "\n".join(pushed_lines(outcomes[len(calm) :])))
-    return 1 if any(o.alarm_s is not None for o in outcomes[: len(calm)]) else 0
+    undisturbed = outcomes[: len(calm)]
+    if calm:
+        print("\n".join(calm_lines(undisturbed)), flush=True)
+    if pushed:
+        print("\n".join(pushed_lines(outcomes[len(calm) :])))
+    return 1 if any(o.alarm_s is not None for o in undisturbed) else 0
 
 
 if __name__ == "__main__":

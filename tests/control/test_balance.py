@@ -10,7 +10,6 @@ from downbeat.control.balance import (
     LIMITS,
     FallLimits,
     FallPredictor,
-    limits_for,
     tilt_and_rate,
 )
 from downbeat.control.errors import ControlError
@@ -69,12 +68,6 @@ def test_what_is_not_known_neither_raises_nor_clears():
     assert not feed(predictor, NO_ESTIMATE, 50, tilt=math.nan, tilt_rate=math.nan).is_falling
     feed(predictor, LEAVING, 2)
     assert feed(predictor, NO_ESTIMATE, 50).is_falling
-
-
-def test_a_blend_has_the_wider_limits_of_its_two_skills():
-    assert limits_for(["planted"]) == PLANTED
-    assert limits_for(["planted", "stepping"]).step_margin_m == LIMITS["stepping"].step_margin_m
-    assert limits_for(["walking on hands"]) == limits_for(LIMITS) == limits_for([])
 
 
 def test_a_margin_that_is_not_watched_calls_no_fall():
