@@ -74,6 +74,24 @@ class Replay:
 
 
 @dataclass(frozen=True)
+class Traffic:
+    """Play a traffic scenario (lost, late, broken, forged messages) and judge the reaction."""
+
+    scenario: tyro.conf.Positional[Path]
+    """TOML file; tests/scenarios has three dozen."""
+    url: str = ""
+    """Publish its requests and injections on this bus; omitted: lockstep with control and plant."""
+    json: bool = False
+    """Print the outcome as one JSON object."""
+
+    def run(self) -> int:
+        """Play; 0 if everything happened as expected."""
+        from downbeat.tools.traffic import traffic_command
+
+        return traffic_command(self.scenario, self.url, self.json)
+
+
+@dataclass(frozen=True)
 class Report:
     """Compute metrics.json and timeline.png of a run again, from its log and truth file alone."""
 
@@ -123,15 +141,32 @@ class Doctor:
 
 @dataclass(frozen=True)
 class Bench:
-    """Print the benchmark table: tick, codec, fingerprint query, generator, lockstep speed."""
+    """Print what things cost here; `control`: the control loop against the clock and a C loop."""
 
+    what: tyro.conf.Positional[Literal["table", "control"]] = "table"
+    """table: tick, codec, fingerprint query, generator, lockstep speed; control: real time."""
     only: tuple[str, ...] = ()
-    """Names of benchmarks; none: all."""
+    """table: names of benchmarks; none: all."""
+    seconds: float = 14.0
+    """control: time for each loop, idle and again loaded [s]."""
+    load: bool = True
+    """control: measure also beside one busy loop per processor."""
+    skill: str = "kpop"
+    """control: the planted skill to play."""
+    cpu: int | None = None
+    """control: pin control and the C loop to this processor."""
+    url: str = ""
+    """control: LCM URL; empty: a free port on this machine only."""
     json: bool = False
     """Print one JSON object on standard output."""
 
     def run(self) -> int:
         """Measure and print."""
+        if self.what == "control":
+            from downbeat.tools.bench_control import ControlBench, bench_control
+
+            bench = ControlBench(self.seconds, self.load, self.skill, self.url, self.cpu)
+            return bench_control(bench, self.json)
         from downbeat.tools.bench import run_bench
 
         return run_bench(self.only, self.json)

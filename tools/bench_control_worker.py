@@ -1,0 +1,212 @@
+"""The measured process of `downbeat bench control`: control as in a show, or its network alone.
+
+A process of its own: `python -m downbeat.tools.bench_control_worker SETTINGS.json`. It loads every
+bundled skill once, then runs one block per line of standard input, `{"kind": ..., "seconds": ...}`,
+and answers each with one line of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from downbeat.control.core import ControlCore, TickInput, TickOutput
+from downbeat.control.phase import TICK_US
+from downbeat.control.policy import SkillLibrary
+from downbeat.control.session import WARM_UP_CALLS, open_session
+from downbeat.policies.manifest import load_skills
+from downbeat.runtime.bus import open_udpm
+from downbeat.runtime.clock import WallClock
+from downbeat.runtime.config import load_config
+from downbeat.runtime.node import run_node
+from downbeat.runtime.rate import RateKeeper
+from downbeat.runtime.realtime import RealTimeReport, configure_real_time
+from downbeat.tools.bench_control_world import BenchSettings
+from downbeat.tools.control_journal import JOURNAL_NAME, ControlJournal
+from downbeat.tools.show import Show, ShowConfig, make_control
+
+PAGE_KB = resource.getpagesize() // 1024
+
+
+@dataclass(frozen=True)
+class BlockResult:
+    """What one block measured; lists have one entry per tick.
+
+    Attributes:
+        kind: "control" or "network".
+        start_utime: First moment of the block [us].
+        end_utime: Last one [us].
+        lateness_us: Wake-up after the deadline, multiples of 20 ms of the time base [us].
+        compute_us: control: the whole tick, from wake-up to sleep; network: its run alone [us].
+        policies: How many policies played; 2 during a cross-fade, 0 when none.
+        missed: Deadlines given up.
+        cpu_s: Processor time of the whole process in the block [s].
+        memory_kb: Resident memory at the block's end [KiB].
+        faults: Ticks with a fault.
+    """
+
+    kind: str
+    start_utime: int
+    end_utime: int
+    lateness_us: list[float]
+    compute_us: list[float]
+    policies: list[int]
+    missed: int
+    cpu_s: float
+    memory_kb: int
+    faults: int = 0
+
+
+class TickNotes:
+    """Stands between control and its journal; notes what each tick played."""
+
+    def __init__(self, journal: ControlJournal) -> None:
+        self._journal = journal
+        self.policies: list[int] = []
+        self.faults = 0
+
+    def record(self, inputs: TickInput, output: TickOutput) -> None:
+        """Write the tick's record as in a show, and note."""
+        self._journal.record(inputs, output)
+        status = output.status
+        self.policies.append(bool(status.skill) + bool(status.previous_skill))
+        self.faults += bool(status.fault)
+
+
+class NetworkNode:
+    """The skill's network at control's cadence, and nothing else."""
+
+    name = "control"
+    period_us = TICK_US
+
+    def __init__(self, path: Path) -> None:
+        """Open a policy file and warm it."""
+        self._session = open_session(path)
+        self._outputs = [self._session.get_outputs()[0].name]
+        self._feeds = {
+            node.name: np.zeros([d if isinstance(d, int) else 1 for d in node.shape], np.float32)
+            for node in self._session.get_inputs()
+        }
+        self.run_us: list[float] = []
+        for _ in range(WARM_UP_CALLS):
+            self._session.run(self._outputs, self._feeds)
+
+    def step(self, utime: int) -> None:
+        """Run once."""
+        before = time.perf_counter_ns()
+        self._session.run(self._outputs, self._feeds)
+        self.run_us.append((time.perf_counter_ns() - before) * 1e-3)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class Worker:
+    """Runs blocks."""
+
+    def __init__(self, settings: BenchSettings, folder: Path) -> None:
+        """Load and warm everything.
+
+        Raises:
+            DownbeatError: A skill cannot be loaded.
+        """
+        self._settings = settings
+        self._clock: WallClock = settings.clock
+        self._show = Show(ShowConfig(audio="", tracks="", index=""), folder)
+        self._library = SkillLibrary.load()
+        self._network = load_skills()[settings.skill].onnx_path
+        self.granted: RealTimeReport | None = None
+
+    def run(self, kind: str, seconds: float) -> BlockResult:
+        """Run one block."""
+        return {"control": self._control, "network": self._run_network}[kind](seconds)
+
+    def _control(self, seconds: float) -> BlockResult:
+        bus = open_udpm(self._settings.url, self._clock, "control")
+        core = ControlCore(self._library)
+        journal = ControlJournal(self._show.path(JOURNAL_NAME), self._show, core)
+        notes = TickNotes(journal)
+        keeper = RateKeeper(self._clock, TICK_US)
+        node = make_control(self._show, bus, notes.record, keeper.timing, core)
+        start, cpu_s = self._begin()
+        try:
+            end = start + round(seconds * 1e6)
+            run_node(node, self._clock, bus, rate=keeper, end_utime=end)
+        finally:
+            journal.close()
+            bus.close()
+        compute = [float(value) for value in keeper.compute.samples()]
+        return self._result("control", start, cpu_s, keeper, compute, notes)
+
+    def _run_network(self, seconds: float) -> BlockResult:
+        node = NetworkNode(self._network)
+        keeper = RateKeeper(self._clock, TICK_US)
+        start, cpu_s = self._begin()
+        run_node(node, self._clock, rate=keeper, end_utime=start + round(seconds * 1e6))
+        return self._result("network", start, cpu_s, keeper, node.run_us)
+
+    def _begin(self) -> tuple[int, float]:
+        """Take real-time rights, as control does before its first tick; start counting."""
+        settings = self._settings
+        self.granted = configure_real_time(
+            settings.priority, cpu=None if settings.cpu < 0 else settings.cpu
+        )
+        return self._clock.utime(), time.process_time()
+
+    def _result(
+        self,
+        kind: str,
+        start: int,
+        cpu_s: float,
+        keeper: RateKeeper,
+        compute_us: list[float],
+        notes: TickNotes | None = None,
+    ) -> BlockResult:
+        ticks = len(compute_us)  # the wake-up that ended the block was no tick
+        return BlockResult(
+            kind=kind,
+            start_utime=start,
+            end_utime=self._clock.utime(),
+            lateness_us=[float(value) for value in keeper.lateness.samples()[:ticks]],
+            compute_us=compute_us,
+            policies=[1] * ticks if notes is None else notes.policies,
+            missed=keeper.missed,
+            cpu_s=time.process_time() - cpu_s,
+            memory_kb=resident_kb(),
+            faults=0 if notes is None else notes.faults,
+        )
+
+
+def resident_kb() -> int:
+    """Return this process's resident memory [KiB]."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * PAGE_KB
+
+
+def main(argv: list[str]) -> int:
+    """Answer lines until standard input ends."""
+    settings = load_config(Path(argv[1]), BenchSettings)
+    with tempfile.TemporaryDirectory() as folder:
+        worker = Worker(settings, Path(folder))
+        _say({"ready": True, "pid": os.getpid()})
+        for line in sys.stdin:
+            asked = json.loads(line)
+            result: dict[str, Any] = asdict(worker.run(asked["kind"], asked["seconds"]))
+            _say({**result, "granted": asdict(worker.granted) if worker.granted else None})
+    return 0
+
+
+def _say(answer: dict[str, Any]) -> None:
+    print(json.dumps(answer), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv))
