@@ -7,9 +7,8 @@ the batch check restores it and runs the same lines.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from hashlib import blake2b
-from typing import Any, cast
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -20,74 +19,31 @@ from downbeat.control.estimate import NO_ESTIMATE, Estimate, StateEstimator
 from downbeat.control.faults import FAULTS, Reaction
 from downbeat.control.observation import RobotState, tilt
 from downbeat.control.policy import SkillLibrary
-from downbeat.control.requests import StatusChange
 from downbeat.control.safety import Measured, RaisedFault, SafetyMonitor
 from downbeat.control.skill import F32, JointTargets
 from downbeat.control.snapshot import from_bytes, to_bytes
+from downbeat.control.tick import (
+    CoreConfig,
+    TickInput,
+    TickOutput,
+    hash64,
+    make_command,
+    robot_state,
+)
 from downbeat.lcm_types import (
     control_status_t,
     estop_t,
     g1_low_cmd_t,
     g1_low_state_t,
     operator_command_t,
-    skill_request_t,
 )
+
+__all__ = ["ControlCore", "CoreConfig", "TickInput", "TickOutput", "hash64", "robot_state"]
 
 MOVE_TO_POSE_S = 2.0
 POSE_REACHED_RAD = 0.15
-COMMAND_VALID_US = 100_000
-"""A command holds for five ticks; then the receiver goes to damping."""
 DAMPING_GAIN = 2.0
 """[N m s/rad] of every joint in damping: the robot sinks slowly."""
-
-
-@dataclass(frozen=True, slots=True)
-class TickInput:
-    """Everything one tick consumes.
-
-    Attributes:
-        utime: [us] of the tick, a multiple of 20 ms.
-        tick: Tick number.
-        state: The newest valid G1_LOW_STATE, None before the first.
-        state_age_us: Its age [us]; negative if it is stamped in the future.
-        requests: New skill requests, in order.
-        operator: New operator commands, in order.
-        estops: New emergency stop messages, in order.
-        foreign_states: Messages of a second publisher on G1_LOW_STATE so far.
-    """
-
-    utime: int
-    tick: int
-    state: g1_low_state_t | None
-    state_age_us: int
-    requests: tuple[skill_request_t, ...] = ()
-    operator: tuple[operator_command_t, ...] = ()
-    estops: tuple[estop_t, ...] = ()
-    foreign_states: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class TickOutput:
-    """What a tick produces; sequence numbers, lateness and counters are filled in by the node."""
-
-    command: g1_low_cmd_t
-    status: control_status_t
-    changes: list[StatusChange]
-    tripped: bool = False
-    """The robot went to damping or emergency stop in this tick."""
-
-
-@dataclass(frozen=True, slots=True)
-class CoreConfig:
-    """Settings of the core.
-
-    Attributes:
-        auto_arm: In simulation, move to the start pose and stand without an operator.
-        fallback: The skill that catches a fall (docs/safety.md has the measurement).
-    """
-
-    auto_arm: bool = True
-    fallback: str = "stand"
 
 
 class ControlCore:
@@ -113,6 +69,7 @@ class ControlCore:
         self._move_start_utime = 0
         self._tripped = False
         self._sent: F32 | None = None
+        self._limp = False
         robot = load_g1()
         self._default_pos = np.asarray(robot.default_joint_pos, np.float32)  # (29,)
         self._stiffness = np.asarray(robot.joint_stiffness, np.float32)  # (29,)
@@ -205,8 +162,11 @@ class ControlCore:
                 self._go_passive("the operator disarmed", control_status_t.DAMPING)
             elif msg.command == operator_command_t.CLEAR_TRIP and self._latched_fault is not None:
                 self.fault = self._latched_fault = None
+                self._limp = False
                 self.safety.reset()
                 self._go_passive("the trip was cleared", control_status_t.DAMPING)
+            elif msg.command == operator_command_t.STAND:
+                self.director.book.abort_all("the operator asked to stand")
 
     def _go_passive(self, reason: str, mode: int) -> None:
         self._armed = False
@@ -216,6 +176,8 @@ class ControlCore:
 
     def _watch_state(self, inputs: TickInput, state: RobotState | None, estimate: Estimate) -> None:
         """Apply the fault table to what was measured."""
+        if any(msg.level == estop_t.ZERO_TORQUE for msg in inputs.estops):
+            self._limp = True
         falling = self._falling(state, estimate)
         measured = Measured(
             utime=inputs.utime,
@@ -305,6 +267,7 @@ class ControlCore:
                 "move_from": self._move_from,
                 "move_start_utime": self._move_start_utime,
                 "sent": self._sent,
+                "limp": self._limp,
                 "safety": self.safety.to_state(),
                 "estimator": self.estimator.state,
                 "predictor": self.predictor.state,
@@ -325,6 +288,7 @@ class ControlCore:
         self._move_from = state["move_from"]
         self._move_start_utime = state["move_start_utime"]
         self._sent = state["sent"]
+        self._limp = state["limp"]
         self.safety.from_state(state["safety"])
         self.estimator.state = state["estimator"]
         self.predictor.state = state["predictor"]
@@ -337,7 +301,7 @@ class ControlCore:
         if targets is not None:
             return make_command(inputs, g1_low_cmd_t.MODE_POSITION, targets)
         zeros = np.zeros(29, np.float32)
-        if self.mode == control_status_t.ZERO_TORQUE:
+        if self.mode == control_status_t.ZERO_TORQUE or self._limp:
             mode = g1_low_cmd_t.MODE_ZERO_TORQUE
             return make_command(inputs, mode, JointTargets(zeros, zeros, zeros))
         damping = np.full(29, DAMPING_GAIN, np.float32)
@@ -385,17 +349,6 @@ class ControlCore:
         return 0.0 if before is None else float(np.abs(self._sent - before).max())
 
 
-def robot_state(msg: g1_low_state_t) -> RobotState:
-    """Return what a message measures (float32, motor order); place and speed are not known."""
-    imu = msg.imu_pelvis
-    return RobotState(
-        np.asarray(imu.quat, np.float32),
-        np.asarray(imu.gyro, np.float32),
-        np.asarray(msg.joint_pos, np.float32),
-        np.asarray(msg.joint_vel, np.float32),
-    )
-
-
 def _estop_text(estops: tuple[estop_t, ...]) -> str:
     """Return who asked for an emergency stop and why; empty: nobody."""
     for msg in estops:
@@ -413,26 +366,3 @@ def _fault_from(state: list[Any] | None) -> RaisedFault | None:
         return None
     rows = {row.id: row for row in FAULTS}
     return RaisedFault(rows[state[0]], state[1])
-
-
-def hash64(*arrays: object) -> int:
-    """Return a signed 64-bit hash of the arrays' bytes; equal hashes mean equal bits."""
-    digest = blake2b(digest_size=8)
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array, np.float32).tobytes())
-    return int.from_bytes(digest.digest(), "big", signed=True)
-
-
-def make_command(inputs: TickInput, mode: int, targets: JointTargets) -> g1_low_cmd_t:
-    """Return a G1_LOW_CMD that answers the state of this tick."""
-    command: Any = g1_low_cmd_t()
-    command.header.utime = inputs.utime
-    command.state_seq = inputs.state.header.seq if inputs.state is not None else 0
-    command.valid_until_utime = inputs.utime + COMMAND_VALID_US
-    command.mode = mode
-    command.joint_pos_target = targets.joint_pos
-    command.joint_vel_target = np.zeros(29, np.float32)
-    command.joint_torque_ff = np.zeros(29, np.float32)
-    command.joint_stiffness = targets.joint_stiffness
-    command.joint_damping = targets.joint_damping
-    return cast(g1_low_cmd_t, command)

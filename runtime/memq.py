@@ -13,6 +13,7 @@ from hashlib import blake2b
 from downbeat.runtime.bus_types import BusError
 from downbeat.runtime.clock import Clock
 from downbeat.runtime.endpoint import Endpoint
+from downbeat.runtime.traffic import Impairer
 
 Tap = Callable[[int, str, bytes], None]
 """Called with (utime, channel, payload) for every message published."""
@@ -26,6 +27,7 @@ class MemqHub:
         self._seed = seed
         self._endpoints: list[MemqEndpoint] = []
         self._taps: list[Tap] = []
+        self._impairer: Impairer | None = None
 
     def endpoint(self, process: str, clock: Clock) -> MemqEndpoint:
         """Add the endpoint of one process.
@@ -45,12 +47,28 @@ class MemqHub:
         """See every message, as published, from now on."""
         self._taps.append(listener)
 
+    def impair(self, impairer: Impairer) -> None:
+        """Put a bad network between publishers and subscribers; taps still see the good one."""
+        self._impairer = impairer
+
     def deliver(self, utime: int, channel: str, payload: bytes) -> None:
         """Hand a payload to every subscriber, in the order of the endpoints' creation."""
         for tap in self._taps:
             tap(utime, channel, payload)
+        if self._impairer is not None:
+            self._impairer.feed(utime, channel, payload)
+            self.release(utime)
+            return
         for endpoint in self._endpoints:
             endpoint.offer(channel, payload)
+
+    def release(self, utime: int) -> None:
+        """Hand over what the bad network has carried so far."""
+        if self._impairer is None:
+            return
+        for channel, payload in self._impairer.take(utime):
+            for endpoint in self._endpoints:
+                endpoint.offer(channel, payload)
 
     def remove(self, endpoint: MemqEndpoint) -> None:
         """Take an endpoint off the hub."""
@@ -76,6 +94,7 @@ class MemqEndpoint(Endpoint):
 
     def pump(self, timeout_s: float = 0.0) -> int:
         """Take everything that has arrived; never waits, since nobody else runs meanwhile."""
+        self._hub.release(self.clock.utime())
         arrived = self._arrived
         count = len(arrived)
         for _ in range(count):

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+pytest_plugins = ["downbeat.tools.pytest_plugin"]
+
 # A deadline is a wall-clock assertion, and this suite has none.
 settings.register_profile("downbeat", deadline=None, max_examples=60)
 settings.load_profile("downbeat")

@@ -29,6 +29,7 @@ Command = (
     | Annotated[operate.Ask, sub("ask")]
     | Annotated[operate.Stop, sub("stop")]
     | Annotated[operate.Replay, sub("replay")]
+    | Annotated[operate.Traffic, sub("traffic")]
     | Annotated[operate.Report, sub("report")]
     | Annotated[operate.Spy, sub("spy")]
     | Annotated[operate.Doctor, sub("doctor")]

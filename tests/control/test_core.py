@@ -60,6 +60,23 @@ def test_estop_damps_at_once_and_stays_until_cleared(rig):
     assert rig.log[-1].status.mode == control_status_t.STAND
 
 
+def test_estop_can_make_the_robot_limp(rig):
+    output = rig.tick(estops=(estop(estop_t.ZERO_TORQUE),))
+    assert output.status.mode == control_status_t.ESTOP
+    assert output.command.mode == g1_low_cmd_t.MODE_ZERO_TORQUE
+    rig.tick(operator=(operator(operator_command_t.CLEAR_TRIP),))
+    assert rig.log[-1].command.mode == g1_low_cmd_t.MODE_DAMPING
+
+
+def test_operator_can_end_everything_in_stand(rig):
+    rig.tick(requests=(rig.request("kpop"), rig.request("wave", 3.0)))
+    rig.run(1.5)
+    rig.tick(operator=(operator(operator_command_t.STAND),))
+    rig.run(2.0)
+    assert rig.states_of(1)[-1] == rig.states_of(2)[-1] == "ABORTED"
+    assert rig.log[-1].status.skill == "stand"
+
+
 def test_estop_aborts_what_runs_and_what_waits(rig):
     rig.tick(requests=(rig.request("kpop"), rig.request("thriller", 5.0)))
     rig.run(1.0)
