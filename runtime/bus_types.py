@@ -136,6 +136,18 @@ class Bus(Protocol):
         """
         ...
 
+    def subscribe_newest(self, *channels: str) -> None:
+        """Receive channels of which only the newest message counts; `take` is not for them.
+
+        Sequence numbers and publishers are followed message by message, but only what `latest`
+        returns is decoded and judged: of ten states per tick, nine are superseded before anybody
+        could read them. A bad newest message is counted, and the one before it is looked at.
+
+        Raises:
+            BusError: Unknown channel.
+        """
+        ...
+
     def pump(self, timeout_s: float = 0.0) -> int:
         """Take everything that has arrived; wait up to `timeout_s` [s] for the first message.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import struct
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -23,6 +24,8 @@ KEPT_STATE_S = 2.0
 KEPT_EPOCHS = 32
 RATE_WINDOW_US = 1_000_000
 RATE_TOLERANCE = 0.9
+HEAD = struct.Struct(">8sqqq")
+"""Every message: fingerprint, then the header's utime, seq, epoch."""
 
 
 def channel_named(name: str) -> Channel:
@@ -53,19 +56,25 @@ class _Subscription:
         "codec",
         "count",
         "epoch",
+        "fingerprint",
+        "is_newest_only",
         "judged",
         "last_seqs",
         "latest",
+        "pending",
         "queue",
         "window",
     )
 
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, channel: Channel, is_newest_only: bool = False) -> None:
         self.channel = channel
         self.codec: Codec = codec_for(channel.type)
+        self.fingerprint: bytes = channel.type._get_packed_fingerprint()
+        self.is_newest_only = is_newest_only
         self.latest: Received | None = None
         kept = max(64, int(KEPT_STATE_S * channel.rate_hz)) if channel.rate_hz else KEPT_EVENTS
         self.queue: deque[Received] = deque(maxlen=kept)
+        self.pending: deque[tuple[bytes, int]] = deque(maxlen=kept)
         self.epoch = 0
         self.last_seqs: dict[int, int] = {}
         self.count = 0
@@ -123,10 +132,17 @@ class Endpoint:
 
     def subscribe(self, *channels: str) -> None:
         """Receive channels from now on; see `Bus.subscribe`."""
+        self._subscribe(channels, is_newest_only=False)
+
+    def subscribe_newest(self, *channels: str) -> None:
+        """Receive channels of which only the newest message counts; see `Bus.subscribe_newest`."""
+        self._subscribe(channels, is_newest_only=True)
+
+    def _subscribe(self, channels: tuple[str, ...], is_newest_only: bool) -> None:
         for name in channels:
             channel = channel_named(name)
             if name not in self._subscriptions:
-                self._subscriptions[name] = _Subscription(channel)
+                self._subscriptions[name] = _Subscription(channel, is_newest_only)
                 self._join(channel)
 
     def _join(self, channel: Channel) -> None:
@@ -139,12 +155,11 @@ class Endpoint:
             return
         if self.tap is not None:
             self.tap(channel, payload)
-        try:
-            msg = subscription.codec.decode(payload, channel)
-        except CodecError as error:
-            total = self.counters.add_rejected(channel)
-            if _is_power_of_two(total):
-                log.warning("rejected %d on %s: %s", total, channel, error)
+        if subscription.is_newest_only and payload[:8] == subscription.fingerprint:
+            self._keep(subscription, payload)
+            return
+        msg = self._decode(subscription, payload)
+        if msg is None:
             return
         header = msg.header
         if not self._in_sequence(subscription, header.epoch, header.seq):
@@ -153,6 +168,39 @@ class Endpoint:
         subscription.latest = received
         subscription.queue.append(received)
         subscription.count += 1
+
+    def _decode(self, subscription: _Subscription, payload: bytes) -> Any:
+        """Decode and check a payload; None, and counted, if it is bad."""
+        channel = subscription.channel.name
+        try:
+            return subscription.codec.decode(payload, channel)
+        except CodecError as error:
+            total = self.counters.add_rejected(channel)
+            if _is_power_of_two(total):
+                log.warning("rejected %d on %s: %s", total, channel, error)
+            return None
+
+    def _keep(self, subscription: _Subscription, payload: bytes) -> None:
+        """Follow the header of a message; its content is looked at when somebody asks."""
+        if len(payload) < HEAD.size:
+            self._decode(subscription, payload)  # too short for anything: counts and logs it
+            return
+        _fingerprint, _utime, seq, epoch = HEAD.unpack_from(payload)
+        if self._in_sequence(subscription, epoch, seq):
+            subscription.pending.append((payload, self.clock.utime()))
+            subscription.count += 1
+
+    def _judge_pending(self, subscription: _Subscription) -> None:
+        """Make the newest valid one of the kept messages the latest; forget the others."""
+        pending = subscription.pending
+        while pending:
+            payload, recv_utime = pending.pop()
+            msg = self._decode(subscription, payload)
+            if msg is not None:
+                subscription.latest = Received(subscription.channel.name, msg, recv_utime)
+                pending.clear()
+            else:
+                subscription.count -= 1
 
     def _in_sequence(self, subscription: _Subscription, epoch: int, seq: int) -> bool:
         """Follow sequence numbers per epoch; refuse duplicates and a second publisher."""
@@ -182,11 +230,20 @@ class Endpoint:
 
     def latest(self, channel: str) -> Received | None:
         """Return the last valid message; see `Bus.latest`."""
-        return self._subscription(channel).latest
+        subscription = self._subscription(channel)
+        if subscription.pending:
+            self._judge_pending(subscription)
+        return subscription.latest
 
     def take(self, channel: str) -> list[Received]:
         """Return all valid messages since the last take, in order; see `Bus.take`."""
-        queue = self._subscription(channel).queue
+        subscription = self._subscription(channel)
+        if subscription.is_newest_only:
+            raise BusError(
+                f"Process {self.process!r} subscribed to the newest {channel} only; "
+                "`latest` has it, `take` needs `subscribe`."
+            )
+        queue = subscription.queue
         if not queue:
             return []
         taken = list(queue)
@@ -206,7 +263,7 @@ class Endpoint:
         """Judge a subscription; see `Bus.freshness`."""
         subscription = self._subscription(channel)
         row = subscription.channel
-        latest = subscription.latest
+        latest = self.latest(channel)
         age_s = math.inf if latest is None else max(0, utime - latest.recv_utime) * 1e-6
         alive = latest is not None and age_s <= row.stale_after_s
         rate_ok = alive if row.rate_hz else True

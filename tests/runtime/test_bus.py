@@ -113,6 +113,42 @@ def test_bad_payloads_are_counted_and_dropped(pair_of, caplog):
     assert pair.receiver.latest("G1_LOW_STATE") is None
 
 
+def test_newest_only_skips_what_is_superseded_and_what_is_bad(pair_of, caplog):
+    pair = pair_of("sim", "control")
+    pair.receiver.subscribe_newest("G1_LOW_STATE")
+    codec = codec_for(g1_low_state_t)
+    for seq, is_bad in enumerate((False, False, True, True)):
+        msg = low_state()
+        msg.header.seq, msg.header.epoch = seq, 5
+        if is_bad:
+            msg.joint_vel[7] = math.inf
+        pair.inject("G1_LOW_STATE", codec.encode(msg))
+    pair.inject("G1_LOW_STATE", b"junk" * 50)
+    pair.inject("G1_LOW_STATE", codec.encode(low_state())[:20])
+    pair.pump(6)
+    assert pair.receiver.latest("G1_LOW_STATE").msg.header.seq == 1
+    assert pair.receiver.counters.rejected_on("G1_LOW_STATE") == 4
+    assert pair.receiver.counters.lost_on("G1_LOW_STATE") == 0
+    assert pair.receiver.freshness("G1_LOW_STATE", pair.clock.utime()).count == 2
+    with pytest.raises(BusError, match="newest"):
+        pair.receiver.take("G1_LOW_STATE")
+
+
+def test_newest_only_still_sees_gaps_and_a_second_publisher(pair_of):
+    pair = pair_of("sim", "control")
+    pair.receiver.subscribe_newest("G1_LOW_STATE")
+    codec = codec_for(g1_low_state_t)
+    for seq, epoch in ((0, 1), (3, 1), (0, 2), (4, 1)):
+        msg = low_state()
+        msg.header.seq, msg.header.epoch = seq, epoch
+        pair.inject("G1_LOW_STATE", codec.encode(msg))
+    pair.pump(4)
+    counters = pair.receiver.counters
+    assert counters.lost_on("G1_LOW_STATE") == 2
+    assert counters.foreign_on("G1_LOW_STATE") == 1
+    assert pair.receiver.latest("G1_LOW_STATE").msg.header.epoch == 2
+
+
 def test_gaps_are_counted_as_lost_and_a_new_epoch_starts_over(pair_of):
     pair = pair_of("control", "sim")
     pair.receiver.subscribe("G1_LOW_CMD")
