@@ -192,9 +192,13 @@ def stand_of(folder: Path) -> SkillManifest:
 
 
 def _certify_one(folder: Path, name: str) -> tuple[str, Verdict]:
+    from downbeat.sim.certify_learned import certify_learned
     from downbeat.sim.certify_walk import certify_walk  # it imports this module
 
-    skill = StageSkill(load_skills(folder)[name])
+    manifest = load_skills(folder)[name]
+    if manifest.policy is not None:
+        return name, certify_learned(manifest)
+    skill = StageSkill(manifest)
     stand = StageSkill(stand_of(folder))
     if skill.manifest.kind == "locomotion":
         return name, certify_walk(skill, stand)

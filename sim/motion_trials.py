@@ -64,6 +64,8 @@ class MotionTrial:
         then_s: [s].
         push: None: nobody pushes.
         noise: Of the sensors.
+        command_delay_us: From a command to its effect on the motors [us].
+        duration_s: The skill is asked for so long [s]; 0: to its end, or for ever.
     """
 
     skill: str
@@ -77,6 +79,8 @@ class MotionTrial:
     then_s: float = 6.0
     push: Push | None = None
     noise: NoiseConfig = field(default_factory=NoiseConfig)
+    command_delay_us: int = 4_000
+    duration_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +147,11 @@ def play(
     clock = SimClock(SIM_EPOCH_UTIME)
     hub = MemqHub(trial.seed)
     config = PlantConfig(
-        mass_scale=trial.mass_scale, friction=trial.friction, noise=trial.noise, seed=trial.seed
+        mass_scale=trial.mass_scale,
+        friction=trial.friction,
+        noise=trial.noise,
+        seed=trial.seed,
+        command_delay_us=trial.command_delay_us,
     )
     sim = SimNode(hub.endpoint("sim", clock), config)
     driver = _Driver(hub.endpoint("control", clock), core or ControlCore(library))
@@ -173,6 +181,7 @@ def _requests(trial: MotionTrial, utime: int) -> dict[int, list[Any]]:
         msg.request_id, msg.skill, msg.start_utime = number, skill, when
         msg.phase_rate = trial.phase_rate
         msg.velocity = trial.velocity
+        msg.duration_s = trial.duration_s if number == 1 else 0.0
         asked[when] = [msg]
     return asked
 

@@ -11,15 +11,23 @@ import numpy as np
 import onnxruntime
 
 from downbeat.policies.manifest import Certificate, SkillManifest, load_manifest
-from downbeat.policies.toml_text import write_toml
+from downbeat.policies.manifest_types import SkillLimits
+from downbeat.policies.toml_edit import set_keys
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What certification found out about a skill."""
+    """What certification found out about a skill.
+
+    Attributes:
+        certificate: What it survived.
+        tempo_range_bpm: Tempos danced; (0, 0) for what has no beat.
+        limits: What safety shall allow while it plays; None: the manifest keeps its own.
+    """
 
     certificate: Certificate
     tempo_range_bpm: tuple[float, float]
+    limits: SkillLimits | None = None
 
 
 def versions() -> str:
@@ -40,8 +48,14 @@ def write_verdict(manifest: SkillManifest, verdict: Verdict) -> SkillManifest:
     certificate["case"] = [
         {key: value for key, value in case.items() if value != ""} for case in certificate["case"]
     ]
-    table["certificate"] = certificate
-    write_toml(path, table)
+    changes: dict[str, object] = {
+        "tempo_range_bpm": table["tempo_range_bpm"],
+        "certificate": certificate,
+    }
+    if verdict.limits is not None:
+        limits = asdict(verdict.limits)
+        changes["limits"] = {key: value for key, value in limits.items() if value is not None}
+    set_keys(path, changes)
     return load_manifest(path)
 
 
