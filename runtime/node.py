@@ -16,6 +16,7 @@ from downbeat.lcm_types import heartbeat_t
 from downbeat.runtime.bus import Bus
 from downbeat.runtime.clock import WaitingClock
 from downbeat.runtime.rate import DurationStats, RateKeeper
+from downbeat.runtime.usage import own_usage
 
 HEARTBEAT_PERIOD_US = 500_000
 
@@ -58,7 +59,10 @@ class LoopReport:
 
 
 class Heartbeat:
-    """Publishes HEARTBEAT twice a second and on every change of state."""
+    """Publishes HEARTBEAT twice a second and on every change of state.
+
+    The detail ends with the process's usage so far (`downbeat.runtime.usage`).
+    """
 
     def __init__(self, bus: Bus, process: str, period_us: int) -> None:
         self._bus = bus
@@ -92,7 +96,7 @@ class Heartbeat:
         msg.pid = os.getpid()
         msg.period_us = self._period_us
         msg.state = state
-        msg.detail = detail
+        msg.detail = f"{detail} {own_usage().text()}".lstrip()
         self._bus.publish("HEARTBEAT", msg)
         self._next_utime = (utime // HEARTBEAT_PERIOD_US + 1) * HEARTBEAT_PERIOD_US
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import sys
 import tempfile
 import time
@@ -30,11 +29,10 @@ from downbeat.runtime.config import load_config
 from downbeat.runtime.node import run_node
 from downbeat.runtime.rate import RateKeeper
 from downbeat.runtime.realtime import RealTimeReport, configure_real_time
+from downbeat.runtime.usage import own_usage
 from downbeat.tools.bench_control_world import BenchSettings
 from downbeat.tools.control_journal import JOURNAL_NAME, ControlJournal
 from downbeat.tools.show import Show, ShowConfig, make_control
-
-PAGE_KB = resource.getpagesize() // 1024
 
 
 @dataclass(frozen=True)
@@ -181,14 +179,9 @@ class Worker:
             policies=[1] * ticks if notes is None else notes.policies,
             missed=keeper.missed,
             cpu_s=time.process_time() - cpu_s,
-            memory_kb=resident_kb(),
+            memory_kb=own_usage().memory_kb,
             faults=0 if notes is None else notes.faults,
         )
-
-
-def resident_kb() -> int:
-    """Return this process's resident memory [KiB]."""
-    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * PAGE_KB
 
 
 def main(argv: list[str]) -> int:

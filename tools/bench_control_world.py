@@ -68,6 +68,7 @@ def standing_state() -> Any:
         imu.quat = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
         imu.gyro = np.zeros(3, np.float32)
         imu.accel = np.array([0.0, 0.0, 9.81], np.float32)
+        imu.rpy = np.zeros(3, np.float32)
     msg.battery_soc = float("nan")
     msg.joint_pos = np.asarray(load_g1().default_joint_pos, np.float32)  # (29,)
     msg.joint_vel = np.zeros(29, np.float32)
