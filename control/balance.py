@@ -47,7 +47,7 @@ LIMITS: Mapping[str, FallLimits] = {
 """Kind of skill -> limits.
 
 Undisturbed, the worst margin of a tick is 0.036 m for planted skills, 0.006 m for stepping ones,
--0.040 m for walking; pushed, a planted skill never came back from -0.04 m, but one in eight of the
+-0.040 m for walking; pushed, a planted skill never came back from -0.04 m, but one in six of the
 stepping robots that stayed up had been at -0.10 m.
 """
 
