@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: setup demo test test-all check bench certify clean
+.PHONY: setup demo test test-all check bench budget certify clean
 
 setup: $(STAMP)
 
@@ -32,6 +32,10 @@ check: setup
 
 bench: setup
 	$(BIN)/downbeat bench $(ARGS)
+
+# Of the newest run; ARGS names another.
+budget: setup
+	$(BIN)/downbeat budget $(ARGS)
 
 certify: setup
 	$(BIN)/downbeat policy certify --all $(ARGS)

@@ -34,6 +34,7 @@ Command = (
     | Annotated[operate.Spy, sub("spy")]
     | Annotated[operate.Doctor, sub("doctor")]
     | Annotated[operate.Bench, sub("bench")]
+    | Annotated[operate.Budget, sub("budget")]
     | Annotated[operate.Export, sub("export")]
 )
 

@@ -173,6 +173,24 @@ class Bench:
 
 
 @dataclass(frozen=True)
+class Budget:
+    """Hold what a run cost (processor, memory, rates, jitter) against a table of budgets."""
+
+    run_dir: tyro.conf.Positional[Path] = Path("runs/latest")
+    """Folder of the run."""
+    table: Path | None = None
+    """Budgets as TOML; omitted: catalog/budget.toml."""
+    json: bool = False
+    """Print one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Compare; 1 if anything is over its budget."""
+        from downbeat.tools.budget import budget_command
+
+        return budget_command(self.run_dir, self.table, self.json)
+
+
+@dataclass(frozen=True)
 class Export:
     """Export: the robot model as MJCF."""
 
