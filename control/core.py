@@ -218,7 +218,8 @@ class ControlCore:
         elif reaction == Reaction.DAMPING and active:
             self._trip(raised, control_status_t.DAMPING)
         elif reaction == Reaction.FALLBACK and state is not None and active:
-            self.director.fall_back(raised.text, state, now)
+            act = self.director.catch if raised.fault.name == "falling" else self.director.fall_back
+            act(raised.text, state, now)
 
     def _trip(self, raised: RaisedFault, mode: int) -> None:
         latched = self._latched_fault

@@ -18,7 +18,14 @@ from downbeat.control.policy import SkillLibrary
 from downbeat.control.requests import Request, RequestBook
 from downbeat.control.safety import looser
 from downbeat.control.skill import JointTargets, SkillOutput
-from downbeat.control.transitions import Goal, Hop, half_us, next_hop, walk_stop_lead_us
+from downbeat.control.transitions import (
+    Goal,
+    Hop,
+    half_us,
+    is_planted,
+    next_hop,
+    walk_stop_lead_us,
+)
 from downbeat.lcm_types import control_status_t, skill_request_t, skill_status_t
 from downbeat.policies.manifest import SkillLimits, SkillManifest
 from downbeat.runtime.errors import one_of
@@ -70,15 +77,24 @@ def fall_limits(manifest: SkillManifest) -> FallLimits:
     )
 
 
+OWN_FALLBACKS = ("walk", "stand")
+"""Best first; measured (docs/safety.md)."""
+
+
 class Director:
     """Playback, blends and the request book; a pure state machine stepped once per tick."""
 
-    def __init__(self, library: SkillLibrary, fallback: str = "stand") -> None:
+    def __init__(self, library: SkillLibrary, fallback: str = "") -> None:
         """Prepare an idle director.
+
+        Args:
+            library: What may be played.
+            fallback: Skill that catches a fall; empty: the best of our own, see docs/safety.md.
 
         Raises:
             ControlError: The fallback skill is not in the library.
         """
+        fallback = fallback or next(name for name in OWN_FALLBACKS if name in library)
         if fallback not in library:
             raise ControlError(
                 f"The fallback skill '{fallback}' is unknown; skills are {one_of(library.names)} "
@@ -159,8 +175,34 @@ class Director:
             self.book.abort_all(reason)
         self._closed_reason = reason
 
-    def fall_back(self, reason: str, state: RobotState, now: int) -> None:
-        """Drop everything: the fallback skill acts from this tick on, with a memory of its own."""
+    @property
+    def can_catch(self) -> bool:
+        """Whether handing over to the fallback skill helps against a fall.
+
+        Measured (docs/safety.md): an imported balance policy catches out of anything; our own walk
+        catches some of the falls from planted feet, and none from footwork.
+        """
+        if self.balance:
+            return True
+        blended = () if self.blend is None else (self.blend.outgoing,)
+        playing = () if self.playback is None else (self.playback, *blended)
+        return all(is_planted(one.skill.manifest) for one in playing)
+
+    def catch(self, reason: str, state: RobotState, now: int) -> None:
+        """A fall is coming: the fallback skill takes over, if that helps."""
+        if self.can_catch:
+            self.fall_back(reason, state, now, self.fallback)
+
+    def fall_back(self, reason: str, state: RobotState, now: int, skill: str = "") -> None:
+        """Drop everything: another skill acts from this tick on, with a memory of its own.
+
+        Args:
+            reason: For those whose requests are aborted.
+            state: The robot.
+            now: [us].
+            skill: Who takes over; empty: the balance policy, or our stand without one.
+        """
+        name = skill or self.balance or "stand"
         if self._recovers_until_utime and self.playback is not None:
             return  # it is at work already
         self.book.abort_all(reason)
@@ -168,9 +210,8 @@ class Director:
         self._plan = ""
         self.blend = None
         self._recovers_until_utime = now + RECOVERY_US
-        hop = Hop(now, self.fallback, 0)
-        line = PhaseLine(now, 0.0, 1.0)
-        self.playback = start_playback(self.library[self.fallback], hop, line, state, now, 0)
+        hop, line = Hop(now, name, 0), PhaseLine(now, 0.0, 1.0)
+        self.playback = start_playback(self.library[name], hop, line, state, now, 0)
 
     def start(self, state: RobotState, now: int) -> None:
         """Begin with the stand skill."""

@@ -66,11 +66,11 @@ class CoreConfig:
 
     Attributes:
         auto_arm: In simulation, move to the start pose and stand without an operator.
-        fallback: The skill that catches a fall (docs/safety.md has the measurement).
+        fallback: The skill that catches a fall; empty: the best of our own (docs/safety.md).
     """
 
     auto_arm: bool = True
-    fallback: str = "stand"
+    fallback: str = ""
 
 
 def robot_state(msg: g1_low_state_t) -> RobotState:

@@ -86,7 +86,7 @@ def _library(imported: Path | None) -> SkillLibrary:
 def stands(trial: CatchTrial, imported: Path | None = None) -> bool:
     """Run one trial; whether the robot is on its feet at the end."""
     library = _library(imported)
-    fallback = "stand" if trial.fallback == NONE else trial.fallback
+    fallback = "" if trial.fallback == NONE else trial.fallback
     core = ControlCore(library, CoreConfig(fallback=fallback))
     if trial.fallback == NONE:
         core.predictor = FallPredictor(NEVER)
@@ -97,7 +97,7 @@ def stands(trial: CatchTrial, imported: Path | None = None) -> bool:
     for sample in play(library, motion, core):
         if push is None and abs(sample.time_s - trial.at_s) < 1e-6:
             now = sample.status.header.utime
-            core.director.fall_back("catch table", robot_state(sample.state), now)
+            core.director.fall_back("catch table", robot_state(sample.state), now, trial.fallback)
         w, x, y, _z = sample.qpos[3:7]
         lean = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
         if sample.qpos[2] < FALLEN_M or lean > FALLEN_RAD or not math.isfinite(w):

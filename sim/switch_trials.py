@@ -70,7 +70,7 @@ def switch(
     before: str,
     after: str,
     own: dict[str, float],
-    fallback: str = "stand",
+    fallback: str = "",
     seed: int = 1,
 ) -> Switch:
     """Play one change and measure it."""
@@ -103,7 +103,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="+")
     parser.add_argument("--imported", type=Path, default=None)
-    parser.add_argument("--fallback", default="stand")
+    parser.add_argument("--fallback", default="")
     args = parser.parse_args()
     library = SkillLibrary.load(imported=args.imported)
     found = sorted(survey(library, args.names, args.fallback), key=lambda s: -s.ratio)

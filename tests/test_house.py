@@ -117,6 +117,28 @@ def test_control_process_loads_no_heavy_library():
     assert result.stdout.strip() == "[]"
 
 
+CONTROL_LOADS = {"docstring_parser", "lcm", "numpy", "onnxruntime", "typing_extensions", "tyro"}
+"""Third-party modules of the control process: bus, arrays, policies, and the command line."""
+
+
+def test_control_process_loads_exactly_these_third_party_modules():
+    code = (
+        "import sys, pathlib\n"
+        "import downbeat.tools.cli, downbeat.tools.processes, downbeat.tools.control_journal\n"
+        "from downbeat.tools.show import Show, ShowConfig, make_core\n"
+        "make_core(Show(ShowConfig('', '', ''), pathlib.Path('.')))\n"
+        "files = {n: getattr(m, '__file__', None) or '' for n, m in sys.modules.items()}\n"
+        "print(*sorted({n.split('.')[0] for n, f in files.items() if 'site-packages' in f}))\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    loaded = set(result.stdout.split())
+    # What setuptools itself puts there for an editable install.
+    loaded = {n for n in loaded if not n.startswith(("__editable__", "_distutils_hack"))}
+    assert loaded == CONTROL_LOADS
+
+
 @pytest.mark.slow
 def test_built_wheel_works_elsewhere(tmp_path):
     dist = tmp_path / "dist"

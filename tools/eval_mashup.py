@@ -47,7 +47,7 @@ def run_eval_mashup(args: MashupArgs) -> int:
         say(f"left out (no {args.section_seconds:.0f} s without a pause): {', '.join(left_out)}")
     mashup = build_mashup(set_list, tracks, library.recordings, args.announced, left_out)
     mashup.truth["seed"] = args.seed
-    show = write_show(run_dir, mashup, library, args.seed)
+    show = write_show(run_dir, mashup, library, args.seed, args.imported, args.fallback)
     play(show, run_dir, mashup, args.realtime, args.url)
     metrics = finish_run(run_dir, video=args.video, quiet=args.json)
     metrics["left_out"] = list(left_out)
@@ -56,7 +56,14 @@ def run_eval_mashup(args: MashupArgs) -> int:
     return 0 if metrics["good"] else 1
 
 
-def write_show(run_dir: Path, mashup: Mashup, library: Library, seed: int) -> Show:
+def write_show(
+    run_dir: Path,
+    mashup: Mashup,
+    library: Library,
+    seed: int,
+    imported: Path | None = None,
+    fallback: str = "",
+) -> Show:
     """Write the files of a show into its run folder."""
     mashup.write(run_dir)
     folder = library.folder.relative_to(run_dir).as_posix()
@@ -65,6 +72,8 @@ def write_show(run_dir: Path, mashup: Mashup, library: Library, seed: int) -> Sh
         tracks=folder,
         index=f"{folder}/{INDEX_NAME}",
         set_list="setlist.toml" if mashup.truth["announced"] else "",
+        imported="" if imported is None else str(imported.resolve()),
+        fallback=fallback,
         seed=seed,
     )
     path = run_dir / SHOW_NAME

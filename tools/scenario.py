@@ -40,6 +40,21 @@ class Ask:
 
 
 @dataclass(frozen=True, slots=True)
+class Shove:
+    """A horizontal push on the torso for 0.1 s.
+
+    Attributes:
+        at_s: Start [s].
+        impulse_n_s: [N s].
+        direction_deg: World frame; 0 forwards, 90 to the left.
+    """
+
+    at_s: float
+    impulse_n_s: float
+    direction_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Expectation:
     """One thing that must be true; everything that is set must hold.
 
@@ -84,6 +99,7 @@ class Scenario:
         ask: Requests.
         impair: What happens to messages on the way.
         inject: Messages of other publishers.
+        push: Shoves.
         expect: What must be true.
         commands_unchanged: Every command is byte-identical to the run without impair and inject.
         seed: Of everything random, and of the plant's noise.
@@ -95,6 +111,7 @@ class Scenario:
     ask: tuple[Ask, ...] = ()
     impair: tuple[Impairment, ...] = ()
     inject: tuple[Injection, ...] = ()
+    push: tuple[Shove, ...] = ()
     expect: tuple[Expectation, ...] = ()
     commands_unchanged: bool = False
     seed: int = 0

@@ -32,7 +32,7 @@ class ShowConfig:
         set_list: Set list of an announced show, empty: cuts are a surprise.
         skills: Folder of skills, empty: the bundled ones.
         imported: Folder of further skills, as `downbeat policy import` writes them.
-        fallback: The skill that catches a fall.
+        fallback: The skill that catches a fall; empty: the best of our own.
         seed: Of the plant's noise.
         sensor_noise: Whether the plant's sensors are noisy.
         command_delay_us: From a command to its effect on the motors [us].
@@ -44,7 +44,7 @@ class ShowConfig:
     set_list: str = ""
     skills: str = ""
     imported: str = ""
-    fallback: str = "stand"
+    fallback: str = ""
     seed: int = 0
     sensor_noise: bool = True
     command_delay_us: int = 4_000

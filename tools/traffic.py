@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -26,9 +27,10 @@ from downbeat.sim.lockstep import STEP_US, Lockstep
 from downbeat.sim.node import SimNode
 from downbeat.sim.plant import PlantConfig
 from downbeat.tools.errors import ToolError
-from downbeat.tools.scenario import Expectation, Scenario, load_scenario
+from downbeat.tools.scenario import Expectation, Scenario, Shove, load_scenario
 
 CONDUCTOR_EPOCH = 77
+PUSH_S = 0.1
 MODES = {v: k for k, v in vars(control_status_t).items() if k.isupper() and isinstance(v, int)}
 STATES = {v: k for k, v in vars(skill_status_t).items() if k.isupper() and isinstance(v, int)}
 COMMANDS = {
@@ -93,6 +95,32 @@ class _InjectorNode:
         """Nothing to release."""
 
 
+class _Pusher:
+    """Shoves the robot at the asked times."""
+
+    name = "pusher"
+    period_us = STEP_US
+
+    def __init__(self, sim: SimNode, pushes: Sequence[Shove], start_utime: int) -> None:
+        self._data = sim.plant.data
+        self._body = sim.plant.model.body("torso_link").id
+        self._pushes = pushes
+        self._start = start_utime
+
+    def step(self, utime: int) -> None:
+        time_s = (utime - self._start) * 1e-6
+        force = [0.0, 0.0]
+        for push in self._pushes:
+            if push.at_s - 1e-9 <= time_s < push.at_s + PUSH_S - 1e-9:
+                angle = math.radians(push.direction_deg)
+                force[0] += push.impulse_n_s / PUSH_S * math.cos(angle)
+                force[1] += push.impulse_n_s / PUSH_S * math.sin(angle)
+        self._data.xfrc_applied[self._body, :2] = force
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
 def run_scenario(scenario: Scenario, library: SkillLibrary) -> Outcome:
     """Play a scenario in lockstep over memq, with the real control and the real plant, and judge.
 
@@ -132,8 +160,9 @@ def _play(scenario: Scenario, library: SkillLibrary) -> Outcome:
     sim = SimNode(hub.endpoint("sim", clock), PlantConfig(seed=scenario.seed))
     control = ControlNode(hub.endpoint("control", clock), ControlCore(library), journal)
     injections = (*_asks(scenario), *scenario.inject)
+    pusher = _Pusher(sim, scenario.push, start)
     traffic = _InjectorNode(hub, Injector(injections, start, scenario.seed))
-    scheduler = Lockstep(clock, (traffic, sim, control))
+    scheduler = Lockstep(clock, (traffic, pusher, sim, control))
     scheduler.run_until(start + round(scenario.seconds * 1e6))
     scheduler.close()
     return outcome

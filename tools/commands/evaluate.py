@@ -33,6 +33,10 @@ class Mashup:
     """Where runs are kept; `latest` points to the newest."""
     url: str = ""
     """LCM URL for --realtime."""
+    imported: Path | None = None
+    """Folder of imported policies (downbeat policy import) that may be played besides."""
+    fallback: str = ""
+    """The skill that catches a fall."""
     json: bool = False
     """Print metrics as one JSON object on standard output."""
 

@@ -24,6 +24,10 @@ class Demo:
     """Where runs are kept; `latest` points to the newest."""
     url: str = ""
     """LCM URL; empty: LCM's default group with ttl=0, so that a plain lcm-spy sees the show."""
+    imported: Path | None = None
+    """Folder of imported policies (downbeat policy import) that may be played besides."""
+    fallback: str = ""
+    """The skill that catches a fall, e.g. an imported velocity policy; empty: the best of our own."""
     json: bool = False
     """Print metrics as one JSON object on standard output."""
 
