@@ -27,7 +27,7 @@ class Demo:
     imported: Path | None = None
     """Folder of imported policies (downbeat policy import) that may be played besides."""
     fallback: str = ""
-    """The skill that catches a fall, e.g. an imported velocity policy; empty: the best of our own."""
+    """The skill that catches a fall, e.g. an imported velocity policy; empty: our own best."""
     json: bool = False
     """Print metrics as one JSON object on standard output."""
 
