@@ -35,9 +35,10 @@ from downbeat.tools.processes import CONTROL_PRIORITY
 from downbeat.tools.rundir import CACHE_DIR
 
 WORLD_PRIORITY = CONTROL_PRIORITY - 10
-PROGRAMS = ("control", "c", "network")
-NETWORK_SHARE = 0.4
-"""Its percentiles settle sooner than those of a wake-up."""
+PROGRAMS = ("control", "c", "network", "warm")
+SHARES = {"control": 1.0, "network": 0.4, "warm": 0.5}
+"""Of a block's length; percentiles of a run settle sooner than those of a wake-up. A warm tick is
+no sleep, so its blocks are over in a fraction of that."""
 SHORTEST_S = 0.1
 LOAD_SETTLES_S = 0.3
 
@@ -225,8 +226,7 @@ class _Runner:
             if self._loop is not None:
                 self.blocks.append(self._run_c(self._loop, seconds, loaded))
             return
-        if program == "network":
-            seconds = max(NETWORK_SHARE * seconds, SHORTEST_S)
+        seconds = max(SHARES[program] * seconds, SHORTEST_S)
         answer = self._worker.ask({"kind": program, "seconds": seconds})
         self.granted = answer.pop("granted")
         self.messages = tuple(self.granted.pop("messages"))

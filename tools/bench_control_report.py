@@ -29,7 +29,7 @@ class Block:
     """One block of one program; lists have one entry per tick.
 
     Attributes:
-        kind: "control", "c" or "network".
+        kind: "control", "c", "network" or "warm" (control back to back, without sleep).
         loaded: Beside busy processors.
         start_utime: First moment [us].
         end_utime: Last one [us].
@@ -77,6 +77,7 @@ def report_of(
     pooled = _state(blocks, answers)
     report: dict[str, Any] = {
         "framework_us": pooled["framework_us"],
+        "warm_tick_us": pooled["warm_tick_us"],
         "lateness_us": pooled["control"]["lateness_us"],
         "lateness_ratio_to_c": pooled["lateness_ratio_to_c"],
         "missed": pooled["control"]["missed"],
@@ -94,8 +95,9 @@ def report_of(
 
 
 def _state(blocks: Sequence[Block], answers: Sequence[tuple[int, int]]) -> dict[str, Any]:
-    control, c, network = (
-        [block for block in blocks if block.kind == kind] for kind in ("control", "c", "network")
+    control, c, network, warm = (
+        [block for block in blocks if block.kind == kind]
+        for kind in ("control", "c", "network", "warm")
     )
     network_us = percentiles(_joined(network, "compute_us"), (50, 99, 99.9))
     ours, theirs = _loop(control), _loop(c)
@@ -109,6 +111,7 @@ def _state(blocks: Sequence[Block], answers: Sequence[tuple[int, int]]) -> dict[
         ours["faults"] = sum(block.faults for block in control)
     return {
         "framework_us": percentiles(framework_us(control, network), (50, 99)),
+        "warm_tick_us": percentiles(_joined(warm, "compute_us"), (50, 99)),
         "lateness_ratio_to_c": ratio,
         "request_ticks": _requests(control, answers),
         "control": ours,
@@ -243,6 +246,7 @@ ROWS = (
     ("tick [us] p50 / p99 / p99.9 / max", "control", "compute_us"),
     ("bare network [us] p50 / p99 / p99.9 / max", "network", "run_us"),
     ("framework [us] p50 / p99 / max", "framework_us"),
+    ("tick back to back, warm [us] p50 / p99 / max", "warm_tick_us"),
     ("processor time per tick [us]", "control", "cpu_us_per_tick"),
     ("request to first tick [ticks] p50 / max / n / unanswered", "request_ticks"),
     ("ticks with a fault", "control", "faults"),

@@ -22,17 +22,21 @@ from downbeat.control.core import ControlCore, TickInput, TickOutput
 from downbeat.control.phase import TICK_US
 from downbeat.control.policy import SkillLibrary
 from downbeat.control.session import WARM_UP_CALLS, open_session
+from downbeat.lcm_types import skill_request_t
 from downbeat.policies.manifest import load_skills
-from downbeat.runtime.bus import open_udpm
-from downbeat.runtime.clock import WallClock
+from downbeat.runtime.bus import MemqHub, open_udpm
+from downbeat.runtime.clock import SimClock, WallClock
 from downbeat.runtime.config import load_config
 from downbeat.runtime.node import run_node
 from downbeat.runtime.rate import RateKeeper
 from downbeat.runtime.realtime import RealTimeReport, configure_real_time
 from downbeat.runtime.usage import own_usage
-from downbeat.tools.bench_control_world import BenchSettings
+from downbeat.tools.bench_control_world import STATE_PERIOD_US, BenchSettings, standing_state
 from downbeat.tools.control_journal import JOURNAL_NAME, ControlJournal
 from downbeat.tools.show import Show, ShowConfig, make_control
+
+WARM_SKIPPED_TICKS = 50
+"""Until the skill plays alone."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class BlockResult:
     """What one block measured; lists have one entry per tick.
 
     Attributes:
-        kind: "control" or "network".
+        kind: "control", "network", or "warm" (control back to back, without sleep).
         start_utime: First moment of the block [us].
         end_utime: Last one [us].
         lateness_us: Wake-up after the deadline, multiples of 20 ms of the time base [us].
@@ -108,6 +112,48 @@ class NetworkNode:
         """Nothing to release."""
 
 
+class WarmStage:
+    """Control as in a show but on the bus inside the process, playing the skill all the time."""
+
+    def __init__(self, show: Show, library: SkillLibrary, skill: str) -> None:
+        self._clock = SimClock()
+        hub = MemqHub()
+        core = ControlCore(library)
+        self._journal = ControlJournal(show.path(JOURNAL_NAME), show, core)
+        self.notes = TickNotes(self._journal)
+        self._sim = hub.endpoint("sim", self._clock)
+        self._conductor = hub.endpoint("conductor", self._clock)
+        bus = hub.endpoint("control", self._clock)
+        self._node = make_control(show, bus, self.notes.record, None, core)
+        self._state = standing_state()
+        self._tick()
+        msg: Any = skill_request_t()
+        msg.header.utime = self._clock.utime()
+        msg.request_id, msg.skill, msg.phase_rate = 1, skill, 1.0
+        self._conductor.publish("SKILL_REQUEST", msg)
+        for _ in range(WARM_SKIPPED_TICKS):
+            self._tick()
+        self.notes.policies.clear()
+
+    def _tick(self) -> float:
+        for _ in range(TICK_US // STATE_PERIOD_US):
+            self._clock.advance_to(self._clock.utime() + STATE_PERIOD_US)
+            self._state.header.utime = self._clock.utime()
+            self._sim.publish("G1_LOW_STATE", self._state)
+        before = time.perf_counter_ns()
+        self._node.step(self._clock.utime())
+        return (time.perf_counter_ns() - before) * 1e-3
+
+    def run(self, ticks: int) -> list[float]:
+        """Return the duration of each tick [us]."""
+        return [self._tick() for _ in range(ticks)]
+
+    def close(self) -> None:
+        """Finish the journal."""
+        self._node.close()
+        self._journal.close()
+
+
 class Worker:
     """Runs blocks."""
 
@@ -126,7 +172,8 @@ class Worker:
 
     def run(self, kind: str, seconds: float) -> BlockResult:
         """Run one block."""
-        return {"control": self._control, "network": self._run_network}[kind](seconds)
+        blocks = {"control": self._control, "network": self._run_network, "warm": self._run_warm}
+        return blocks[kind](seconds)
 
     def _control(self, seconds: float) -> BlockResult:
         bus = open_udpm(self._settings.url, self._clock, "control")
@@ -151,6 +198,16 @@ class Worker:
         start, cpu_s = self._begin()
         run_node(node, self._clock, rate=keeper, end_utime=start + round(seconds * 1e6))
         return self._result("network", start, cpu_s, keeper, node.run_us)
+
+    def _run_warm(self, seconds: float) -> BlockResult:
+        """Step control without sleep on simulated time: what the code costs with warm caches."""
+        stage = WarmStage(self._show, self._library, self._settings.skill)
+        start, cpu_s = self._begin()
+        keeper = RateKeeper(self._clock, TICK_US)
+        compute_us = stage.run(max(2, round(seconds * 1e6) // TICK_US))
+        result = self._result("warm", start, cpu_s, keeper, compute_us, stage.notes)
+        stage.close()
+        return result
 
     def _begin(self) -> tuple[int, float]:
         """Take real-time rights, as control does before its first tick; start counting."""
