@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import struct
-import struct
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -23,11 +22,6 @@ KEPT_EVENTS = 4096
 KEPT_STATE_S = 2.0
 """The same for channels with a rate, as time; at least 64 messages."""
 KEPT_EPOCHS = 32
-KEPT_UNDECODED = 16
-"""Of a channel of which only the newest message is wanted."""
-HEADER = struct.Struct(">qqq")
-HEADER_AT = 8
-"""utime, seq, epoch stand behind the fingerprint in every type of ours."""
 RATE_WINDOW_US = 1_000_000
 RATE_TOLERANCE = 0.9
 HEAD = struct.Struct(">8sqqq")
