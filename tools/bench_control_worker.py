@@ -7,6 +7,7 @@ and answers each with one line of JSON.
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import sys
@@ -212,6 +213,7 @@ class Worker:
     def _begin(self) -> tuple[int, float]:
         """Take real-time rights, as control does before its first tick; start counting."""
         settings = self._settings
+        gc.unfreeze()  # the block before is over: let the collection below have what it left
         self.granted = configure_real_time(
             settings.priority, cpu=None if settings.cpu < 0 else settings.cpu
         )
