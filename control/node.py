@@ -12,7 +12,6 @@ from downbeat.lcm_types import skill_status_t
 from downbeat.runtime.bus import Bus
 
 SUBSCRIPTIONS = (
-    "G1_LOW_STATE",
     "SKILL_REQUEST",
     "OPERATOR_SKILL_REQUEST",
     "OPERATOR_COMMAND",
@@ -53,6 +52,7 @@ class ControlNode:
             bus.tap = blackbox.note
         self._tick = 0
         bus.subscribe(*SUBSCRIPTIONS)
+        bus.subscribe_newest("G1_LOW_STATE")  # ten arrive in a tick, one is used
 
     def step(self, utime: int) -> None:
         """Run one tick at `utime` [us]."""

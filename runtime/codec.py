@@ -54,6 +54,9 @@ class Codec:
         self.name = self._layout.name
         self._encode, encode_source = compile_encode(self._layout, self._encode_slow)
         self._decode, decode_source = compile_decode(self._layout, _bad)
+        leaves = self._layout.leaves
+        is_fixed = not any(leaf.is_variable for leaf in leaves)
+        self._length = 8 + sum(leaf.size for leaf in leaves) if is_fixed else None
         self.source = encode_source + "\n\n" + decode_source
 
     def encode(self, msg: Any) -> bytes:
@@ -70,6 +73,15 @@ class Codec:
             return self._encode(msg)
         except _EXPECTED:
             return self._encode_slow(msg)
+
+    def looks_valid(self, payload: bytes) -> bool:
+        """Whether a payload has this type's fingerprint and, if that is fixed, its length.
+
+        No value is looked at: for messages that may be overtaken before anybody wants them.
+        """
+        if self._length is not None and len(payload) != self._length:
+            return False
+        return payload[:8] == self._layout.fingerprint
 
     def decode(self, payload: bytes, channel: str = "") -> Any:
         """Decode and check.

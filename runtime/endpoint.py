@@ -155,7 +155,7 @@ class Endpoint:
             return
         if self.tap is not None:
             self.tap(channel, payload)
-        if subscription.is_newest_only and payload[:8] == subscription.fingerprint:
+        if subscription.is_newest_only and subscription.codec.looks_valid(payload):
             self._keep(subscription, payload)
             return
         msg = self._decode(subscription, payload)
@@ -181,20 +181,21 @@ class Endpoint:
             return None
 
     def _keep(self, subscription: _Subscription, payload: bytes) -> None:
-        """Follow the header of a message; its content is looked at when somebody asks."""
-        if len(payload) < HEAD.size:
-            self._decode(subscription, payload)  # too short for anything: counts and logs it
-            return
+        """Follow the header of a message; its content is looked at when somebody asks.
+
+        Only the plain case is put off: the next message of the publisher that is known. Anything
+        else, a new publisher above all, is believed only if all of it is valid.
+        """
         _fingerprint, _utime, seq, epoch = HEAD.unpack_from(payload)
         last_seqs = subscription.last_seqs
         if epoch == subscription.epoch and last_seqs.get(epoch) == seq - 1:
-            last_seqs[epoch] = seq  # the plain case, 500 times a second
-            is_good = True
-        else:
-            is_good = self._in_sequence(subscription, epoch, seq)
-        if is_good:
-            subscription.pending.append((payload, self.clock.utime()))
-            subscription.count += 1
+            last_seqs[epoch] = seq
+        elif self._decode(subscription, payload) is None or not self._in_sequence(
+            subscription, epoch, seq
+        ):
+            return
+        subscription.pending.append((payload, self.clock.utime()))
+        subscription.count += 1
 
     def _judge_pending(self, subscription: _Subscription) -> None:
         """Make the newest valid one of the kept messages the latest; forget the others."""
