@@ -17,7 +17,7 @@ from downbeat.control.balance import FallPredictor, tilt_and_rate
 from downbeat.control.director import Director, Frame
 from downbeat.control.estimate import NO_ESTIMATE, Estimate, StateEstimator
 from downbeat.control.faults import FAULTS, Reaction
-from downbeat.control.observation import RobotState, tilt
+from downbeat.control.observation import RobotState
 from downbeat.control.policy import SkillLibrary
 from downbeat.control.safety import Measured, RaisedFault, SafetyMonitor
 from downbeat.control.skill import F32, JointTargets
@@ -70,6 +70,7 @@ class ControlCore:
         self._tripped = False
         self._sent: F32 | None = None
         self._limp = False
+        self._tilt = math.nan
         robot = load_g1()
         self._default_pos = np.asarray(robot.default_joint_pos, np.float32)  # (29,)
         self._stiffness = np.asarray(robot.joint_stiffness, np.float32)  # (29,)
@@ -178,11 +179,17 @@ class ControlCore:
         """Apply the fault table to what was measured."""
         if any(msg.level == estop_t.ZERO_TORQUE for msg in inputs.estops):
             self._limp = True
-        falling = self._falling(state, estimate)
+        self._tilt, rate = math.nan, 0.0
+        if state is not None:
+            self._tilt, rate = tilt_and_rate(
+                state.base_quat_wxyz.tolist(), state.base_ang_vel.tolist()
+            )
+        falling = self._falling(state, estimate, rate)
         measured = Measured(
             utime=inputs.utime,
             msg=inputs.state,
             state=state,
+            tilt_rad=self._tilt,
             state_age_us=inputs.state_age_us,
             foreign_states=inputs.foreign_states,
             falling=falling,
@@ -195,14 +202,13 @@ class ControlCore:
                 wants_stand = wants_stand or raised.text
         self.director.close(wants_stand)
 
-    def _falling(self, state: RobotState | None, estimate: Estimate) -> str:
+    def _falling(self, state: RobotState | None, estimate: Estimate, rate: float) -> str:
         """Return what says that a fall is coming; empty: nothing does, or nothing is played."""
         limits = self.director.fall_limits
         if state is None or limits is None:
             self.predictor.reset()
             return ""
-        lean, rate = tilt_and_rate(state.base_quat_wxyz.tolist(), state.base_ang_vel.tolist())
-        prediction = self.predictor.update(estimate, lean, rate, limits)
+        prediction = self.predictor.update(estimate, self._tilt, rate, limits)
         if not prediction.is_falling:
             return ""
         return f"{prediction.cause.replace('_', ' ')} {prediction.value:.2f}"
@@ -332,7 +338,7 @@ class ControlCore:
         status.command_hash = hash64(
             command.joint_pos_target, command.joint_stiffness, command.joint_damping
         )
-        status.tilt = 0.0 if state is None else float(tilt(state.base_quat_wxyz))
+        status.tilt = 0.0 if state is None else self._tilt
         status.base_height = estimate.base_height
         status.support_margin = estimate.support_margin
         status.target_jump = self._target_jump(command)

@@ -7,6 +7,7 @@ re-executes control, whatever the recorder lost; replay then holds the run's log
 from __future__ import annotations
 
 import base64
+import struct
 from collections.abc import Mapping, Sequence
 from hashlib import blake2b
 from typing import Any
@@ -27,6 +28,7 @@ INPUT_LISTS: Mapping[str, Any] = {
     "operator": operator_command_t,
     "estops": estop_t,
 }
+STATUS_NUMBERS = struct.Struct("<7q7d")
 COMPARED = ("mode", "skill", "phase", "input", "obs", "action", "command", "status", "changes")
 """What a replay must reproduce, in the order in which a difference is reported."""
 
@@ -55,7 +57,7 @@ def tick_record(inputs: TickInput, output: TickOutput) -> dict[str, Any]:
         "action": status.action_hash,
         "command": command_hash(output.command),
         "status": status_hash(status),
-        "changes": _text_hash(repr(output.changes)),
+        "changes": _hash(repr(output.changes).encode()),
     }
     if inputs.foreign_states:
         record["foreign"] = inputs.foreign_states
@@ -98,30 +100,25 @@ def command_hash(command: g1_low_cmd_t) -> int:
 
 def status_hash(status: control_status_t) -> int:
     """Return a hash of what control says, without what the machine's timing adds to it."""
-    return _text_hash(
-        repr(
-            (
-                status.header.utime,
-                status.tick,
-                status.state_seq,
-                status.mode,
-                status.skill,
-                status.previous_skill,
-                status.phase_s,
-                status.phase_rate,
-                status.blend_weight,
-                status.request_id,
-                status.state_age_us,
-                status.tilt,
-                status.base_height,
-                status.support_margin,
-                status.target_jump,
-                status.fault,
-                status.fault_text,
-            )
-        )
+    numbers = STATUS_NUMBERS.pack(
+        status.header.utime,
+        status.tick,
+        status.state_seq,
+        status.request_id,
+        status.mode,
+        status.state_age_us,
+        status.fault,
+        status.phase_s,
+        status.phase_rate,
+        status.blend_weight,
+        status.tilt,
+        status.base_height,
+        status.support_margin,
+        status.target_jump,
     )
+    texts = f"{status.skill}|{status.previous_skill}|{status.fault_text}"
+    return _hash(numbers + texts.encode())
 
 
-def _text_hash(text: str) -> int:
-    return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "big", signed=True)
+def _hash(data: bytes) -> int:
+    return int.from_bytes(blake2b(data, digest_size=8).digest(), "big", signed=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from downbeat.catalog.robot import load_g1
 from downbeat.control.faults import POLICY_FAULTS, STATE_FAULTS, Reaction
-from downbeat.control.observation import RobotState, tilt
+from downbeat.control.observation import RobotState
 from downbeat.control.skill import F32, SkillOutput
 from downbeat.lcm_types import g1_low_state_t
 from downbeat.policies.manifest import SkillLimits
@@ -32,6 +32,9 @@ CASE_HOT_C = 90
 BATTERY_LOW, BATTERY_EMPTY = 0.20, 0.08
 REMOTE_LOST_TICKS = 150
 """The vendor's wrapper calls 3 s of zeros lost."""
+BODY_PERIOD_TICKS = 5
+"""Temperatures, battery and remote are looked at ten times a second."""
+MOTION_FAULTS = ("joint_range", "joint_speed", "torque_saturated", "motor_fault")
 TARGET_REACH = 2.0
 """A target farther from the joint's range than this many times effort/kp saturates any motor."""
 TARGET_SLACK_RAD = 0.5
@@ -53,6 +56,8 @@ class SafetyCounters:
         saturated_ticks: (29,) for how many ticks each joint has been at its torque limit.
         last_utime: Of the previous tick [us]; 0 before the first.
         foreign_states: Messages of a second publisher at the previous tick.
+        ticks: Judged so far.
+        body: What was found at the last look at temperatures, battery and remote.
         remote_seen: The remote has been heard.
         remote_silent_ticks: Since it was last heard.
     """
@@ -62,6 +67,8 @@ class SafetyCounters:
     foreign_states: int = 0
     remote_seen: bool = False
     remote_silent_ticks: int = 0
+    ticks: int = 0
+    body: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +79,7 @@ class Measured:
         utime: Of the tick [us].
         msg: The newest state message, None before the first.
         state: The same as arrays.
+        tilt_rad: Of the pelvis from the vertical, NaN if unknown.
         state_age_us: Its age [us], negative if it is stamped in the future.
         foreign_states: Messages of a second publisher on G1_LOW_STATE so far.
         falling: What says that a fall is coming; empty: nothing does.
@@ -81,6 +89,7 @@ class Measured:
     utime: int
     msg: g1_low_state_t | None
     state: RobotState | None
+    tilt_rad: float
     state_age_us: int
     foreign_states: int = 0
     falling: str = ""
@@ -95,8 +104,11 @@ class SafetyMonitor:
         self._policy = FaultMonitor(POLICY_FAULTS)
         robot = load_g1()
         self._names = robot.joint_names
-        self._low = np.asarray(robot.joint_range[:, 0], np.float32)  # (29,)
-        self._high = np.asarray(robot.joint_range[:, 1], np.float32)  # (29,)
+        low, high = np.asarray(robot.joint_range, np.float32).T
+        self._middle = 0.5 * (low + high)  # (29,)
+        self._half = 0.5 * (high - low)  # (29,)
+        self._used = np.zeros((len(MOTION_FAULTS), len(self._names)), np.float32)
+        self._reach: dict[str, F32] = {}
         self._speed = np.asarray(robot.velocity_limit, np.float32)  # (29,)
         self._effort = np.asarray(robot.effort_limit, np.float32)  # (29,)
         self.counters = SafetyCounters(np.zeros(len(self._names), np.int32))
@@ -115,8 +127,13 @@ class SafetyMonitor:
             found["estop"] = measured.estop
         self._judge_time(measured, found)
         if measured.state is not None and measured.msg is not None:
+            if not measured.tilt_rad <= limits.tilt_rad:  # also catches a NaN
+                found["tilt"] = f"{measured.tilt_rad:.2f}"
             self._judge_motion(measured.state, measured.msg, limits, found)
-            self._judge_body(measured.msg, limits, found)
+            if self.counters.ticks % BODY_PERIOD_TICKS == 0:
+                self.counters.body = self._judge_body(measured.msg)
+            found.update(self.counters.body)
+            self.counters.ticks += 1
         if measured.falling:
             found["falling"] = measured.falling
         return self._raised(self._state, found)
@@ -145,34 +162,42 @@ class SafetyMonitor:
         limits: SkillLimits,
         found: dict[str, object],
     ) -> None:
-        lean = float(tilt(state.base_quat_wxyz))
-        if not lean <= limits.tilt_rad:  # also catches a NaN
-            found["tilt"] = f"{lean:.2f}"
-        pos = state.joint_pos
-        beyond = np.maximum(self._low - pos, pos - self._high)  # (29,)
-        self._worst(found, "joint_range", beyond, limits.joint_range_tolerance_rad)
-        speed = np.abs(state.joint_vel) / self._speed
-        self._worst(found, "joint_speed", speed, limits.joint_speed_ratio)
-        torque = np.abs(np.asarray(msg.joint_torque_est)) >= limits.torque_ratio * self._effort
+        # One table, one pass: how much of what is allowed each joint uses.
+        used = self._used  # (4, 29)
+        np.subtract(state.joint_pos, self._middle, out=used[0])
+        np.abs(used[0], out=used[0])
+        np.subtract(used[0], self._half, out=used[0])
+        np.divide(state.joint_vel, self._speed, out=used[1])
+        np.divide(msg.joint_torque_est, self._effort, out=used[2])
+        np.abs(used[1:3], out=used[1:3])
         held = self.counters.saturated_ticks
         held += 1
-        held *= torque
-        self._worst(found, "torque_saturated", held, limits.saturated_s * 50.0)
+        held *= used[2] >= limits.torque_ratio
+        used[2] = held
+        used[3] = msg.motor_fault
+        most = used.max(axis=1).tolist()
+        allowed = (
+            limits.joint_range_tolerance_rad,
+            limits.joint_speed_ratio,
+            limits.saturated_s * 50.0,
+            0.0,
+        )
+        for row, (value, limit) in enumerate(zip(most, allowed, strict=True)):
+            if not value <= limit:
+                found[MOTION_FAULTS[row]] = self._names[int(used[row].argmax())]
 
-    def _worst(
-        self, found: dict[str, object], name: str, values: npt.NDArray[Any], limit: float
-    ) -> None:
-        worst = int(values.argmax())
-        if not values[worst] <= limit:
-            found[name] = self._names[worst]
-
-    def _judge_body(
-        self, msg: g1_low_state_t, limits: SkillLimits, found: dict[str, object]
-    ) -> None:
-        self._worst(found, "motor_fault", np.asarray(msg.motor_fault), 0.0)
+    def _judge_body(self, msg: g1_low_state_t) -> dict[str, str]:
+        """Return the faults of what changes slowly: temperatures, battery, remote."""
+        found: dict[str, str] = {}
         winding, case = np.asarray(msg.temperature_winding), np.asarray(msg.temperature_case)
-        self._worst(found, "motor_warm", winding, MOTOR_WARM_C)
-        self._worst(found, "motor_hot", np.maximum(winding, case + MOTOR_HOT_C - CASE_HOT_C), 105.0)
+        heat = np.maximum(winding, case + (MOTOR_HOT_C - CASE_HOT_C))
+        for name, values, limit in (
+            ("motor_warm", winding, MOTOR_WARM_C),
+            ("motor_hot", heat, MOTOR_HOT_C),
+        ):
+            worst = int(values.argmax())
+            if values[worst] > limit:
+                found[name] = self._names[worst]
         charge = msg.battery_soc
         if charge < BATTERY_LOW:  # NaN, not known, compares false
             found["battery_low"] = f"{100.0 * charge:.0f}"
@@ -180,14 +205,15 @@ class SafetyMonitor:
             found["battery_empty"] = f"{100.0 * charge:.0f}"
         if msg.source == g1_low_state_t.SOURCE_HARDWARE:
             self._judge_remote(msg, found)
+        return found
 
-    def _judge_remote(self, msg: g1_low_state_t, found: dict[str, object]) -> None:
+    def _judge_remote(self, msg: g1_low_state_t, found: dict[str, str]) -> None:
         counters = self.counters
         if any(msg.wireless_remote):
             counters.remote_seen = True
             counters.remote_silent_ticks = 0
         elif counters.remote_seen:
-            counters.remote_silent_ticks += 1
+            counters.remote_silent_ticks += BODY_PERIOD_TICKS
             if counters.remote_silent_ticks > REMOTE_LOST_TICKS:
                 found["remote_lost"] = f"{counters.remote_silent_ticks / 50.0:.1f}"
 
@@ -199,25 +225,21 @@ class SafetyMonitor:
         for name, part in parts:
             if not _is_finite(part.obs):
                 found["non_finite_observation"] = name
-            target = part.targets
-            if not (
-                _is_finite(part.action)
-                and _is_finite(target.joint_pos)
-                and _is_finite(target.joint_stiffness)
-                and _is_finite(target.joint_damping)
-            ):
-                found["non_finite_action"] = name
-            elif self._is_out_of_reach(part):
-                found["action_range"] = name
+            targets = part.targets
+            reach = self._reach.get(name)
+            if reach is None:
+                reach = self._reach[name] = self._reach_of(targets.joint_stiffness)
+            # `not <=` is also true for a NaN.
+            if not bool((np.abs(targets.joint_pos - self._middle) <= reach).all()):
+                finite = _is_finite(targets.joint_pos) and _is_finite(part.action)
+                found["action_range" if finite else "non_finite_action"] = name
         return self._raised(self._policy, found)
 
-    def _is_out_of_reach(self, part: SkillOutput) -> bool:
-        """Whether a target lies where it cannot mean anything any more."""
-        targets = part.targets
-        reach = TARGET_REACH * self._effort / np.maximum(targets.joint_stiffness, 1.0)
-        reach += TARGET_SLACK_RAD
-        pos = targets.joint_pos
-        return bool((pos > self._high + reach).any() or (pos < self._low - reach).any())
+    def _reach_of(self, stiffness: F32) -> F32:
+        """Return how far from the middle of its range a target of each joint may lie, (29,)."""
+        return np.asarray(
+            self._half + TARGET_REACH * self._effort / np.maximum(stiffness, 1.0) + TARGET_SLACK_RAD
+        )
 
     def refuse_fallback(self, reason: str) -> list[RaisedFault]:
         """Return the fault of a balance policy that cannot take over."""

@@ -21,6 +21,10 @@ JOURNAL_VERSION = 1
 VERSIONED_PACKAGES = ("downbeat", "lcm", "mujoco", "numpy", "onnxruntime")
 BUFFER_BYTES = 1 << 18
 
+# Sorted keys and fixed separators: the bytes do not depend on how the record was built. Kept,
+# because json.dumps with options builds an encoder anew for every record.
+_ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
 
 class JournalError(DownbeatError):
     """A journal that cannot be written or read."""
@@ -68,9 +72,7 @@ def _cpu() -> dict[str, Any]:
 
 
 def _line(record: Mapping[str, Any]) -> bytes:
-    # Sorted keys and fixed separators: the bytes do not depend on how the record was built.
-    text = json.dumps(record, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return text.encode() + b"\n"
+    return _ENCODER.encode(record).encode() + b"\n"
 
 
 class JournalWriter:
