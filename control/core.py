@@ -8,26 +8,33 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from downbeat.catalog.robot import load_g1
+from downbeat.control.allowed import allowed_fall_limits, allowed_limits
 from downbeat.control.balance import FallPredictor, tilt_and_rate
 from downbeat.control.director import Director, Frame
 from downbeat.control.estimate import NO_ESTIMATE, Estimate, StateEstimator
-from downbeat.control.faults import FAULTS, Reaction
+from downbeat.control.faults import Reaction
+from downbeat.control.get_up import GetUp
 from downbeat.control.observation import RobotState
 from downbeat.control.policy import SkillLibrary
-from downbeat.control.safety import Measured, RaisedFault, SafetyMonitor
+from downbeat.control.safety import (
+    Measured,
+    RaisedFault,
+    SafetyMonitor,
+    fault_from_state,
+    fault_to_state,
+)
 from downbeat.control.skill import F32, JointTargets
 from downbeat.control.snapshot import from_bytes, to_bytes
 from downbeat.control.tick import (
     CoreConfig,
     TickInput,
     TickOutput,
+    command_for,
+    estop_text,
     hash64,
-    make_command,
     robot_state,
 )
 from downbeat.lcm_types import (
@@ -39,11 +46,6 @@ from downbeat.lcm_types import (
 )
 
 __all__ = ["ControlCore", "CoreConfig", "TickInput", "TickOutput", "hash64", "robot_state"]
-
-MOVE_TO_POSE_S = 2.0
-POSE_REACHED_RAD = 0.15
-DAMPING_GAIN = 2.0
-"""[N m s/rad] of every joint in damping: the robot sinks slowly."""
 
 
 class ControlCore:
@@ -65,16 +67,11 @@ class ControlCore:
         self.fault: RaisedFault | None = None
         self._armed = False
         self._latched_fault: RaisedFault | None = None
-        self._move_from: F32 | None = None
-        self._move_start_utime = 0
+        self._get_up = GetUp()
         self._tripped = False
         self._sent: F32 | None = None
         self._limp = False
         self._tilt = math.nan
-        robot = load_g1()
-        self._default_pos = np.asarray(robot.default_joint_pos, np.float32)  # (29,)
-        self._stiffness = np.asarray(robot.joint_stiffness, np.float32)  # (29,)
-        self._damping = np.asarray(robot.joint_damping, np.float32)  # (29,)
 
     def tick(self, inputs: TickInput) -> TickOutput:
         """Advance by one tick of 20 ms."""
@@ -89,7 +86,8 @@ class ControlCore:
         for request in inputs.requests:
             self.director.receive(request, inputs.utime, inputs.tick, on_hardware)
         frame, targets = self._act(inputs, state)
-        command = self._command(inputs, targets)
+        is_limp = self.mode == control_status_t.ZERO_TORQUE or self._limp
+        command = command_for(inputs, targets, is_limp)
         status = self._status(inputs, state, estimate, frame, command)
         self.director.end_tick(inputs.utime)
         changes = self.director.book.take_changes()
@@ -122,9 +120,10 @@ class ControlCore:
             return None, None
         self._maybe_arm(inputs)
         if self.mode == control_status_t.MOVE_TO_POSE:
-            targets = self._move_to_pose(inputs, state)
+            targets = self._get_up.targets(inputs.utime)
             if targets is not None:
                 return None, targets
+            self.director.start(state, inputs.utime)  # a held pose does not stand, a skill does
         self.director.update(state, inputs.utime)
         frame = self.director.play(state, inputs.utime)
         if frame is None:
@@ -171,7 +170,7 @@ class ControlCore:
 
     def _go_passive(self, reason: str, mode: int) -> None:
         self._armed = False
-        self._move_from = None
+        self._get_up.stop()
         self.director.stop(reason)
         self.mode = mode
 
@@ -193,10 +192,10 @@ class ControlCore:
             state_age_us=inputs.state_age_us,
             foreign_states=inputs.foreign_states,
             falling=falling,
-            estop=_estop_text(inputs.estops),
+            estop=estop_text(inputs.estops),
         )
         wants_stand = ""
-        for raised in self.safety.judge_state(measured, self.director.limits):
+        for raised in self.safety.judge_state(measured, allowed_limits(self.director.playing)):
             self._react(raised, state, inputs.utime)
             if raised.fault.reaction == Reaction.STAND:
                 wants_stand = wants_stand or raised.text
@@ -204,7 +203,7 @@ class ControlCore:
 
     def _falling(self, state: RobotState | None, estimate: Estimate, rate: float) -> str:
         """Return what says that a fall is coming; empty: nothing does, or nothing is played."""
-        limits = self.director.fall_limits
+        limits = allowed_fall_limits(self.director.playing)
         if state is None or limits is None:
             self.predictor.reset()
             return ""
@@ -218,7 +217,7 @@ class ControlCore:
         reaction = raised.fault.reaction
         if self.fault is None or reaction > self.fault.fault.reaction:
             self.fault = raised
-        active = self.director.playback is not None or self._move_from is not None
+        active = self.director.playback is not None or self._get_up.is_moving
         if reaction == Reaction.ESTOP:
             self._trip(raised, control_status_t.ESTOP)
         elif reaction == Reaction.DAMPING and active:
@@ -244,23 +243,8 @@ class ControlCore:
         if self._armed or (self.config.auto_arm and simulated and fresh):
             self._armed = True
             self.mode = control_status_t.MOVE_TO_POSE
-            self._move_from = np.array(inputs.state.joint_pos, np.float32)
-            self._move_start_utime = inputs.utime
+            self._get_up.begin(np.asarray(inputs.state.joint_pos, np.float32), inputs.utime)
             self.estimator.reset()
-
-    def _move_to_pose(self, inputs: TickInput, state: RobotState) -> JointTargets | None:
-        """Interpolate to the default pose; a held pose does not stand, so stand takes over."""
-        start = self._default_pos if self._move_from is None else self._move_from
-        distance = float(np.abs(start - self._default_pos).max())
-        duration_s = 0.0 if distance < POSE_REACHED_RAD else MOVE_TO_POSE_S
-        elapsed_s = (inputs.utime - self._move_start_utime) * 1e-6
-        if elapsed_s >= duration_s:
-            self._move_from = None
-            self.director.start(state, inputs.utime)
-            return None
-        share = np.float32(elapsed_s / duration_s)
-        pose = start + share * (self._default_pos - start)  # (29,)
-        return JointTargets(pose, self._stiffness, self._damping)
 
     # ------------------------------------------------------------------ snapshot
 
@@ -270,9 +254,8 @@ class ControlCore:
             {
                 "mode": self.mode,
                 "armed": self._armed,
-                "latched": _fault_state(self._latched_fault),
-                "move_from": self._move_from,
-                "move_start_utime": self._move_start_utime,
+                "latched": fault_to_state(self._latched_fault),
+                "get_up": self._get_up.state,
                 "sent": self._sent,
                 "limp": self._limp,
                 "safety": self.safety.to_state(),
@@ -291,9 +274,8 @@ class ControlCore:
         state = from_bytes(data, self.library)
         self.mode = state["mode"]
         self._armed = state["armed"]
-        self._latched_fault = _fault_from(state["latched"])
-        self._move_from = state["move_from"]
-        self._move_start_utime = state["move_start_utime"]
+        self._latched_fault = fault_from_state(state["latched"])
+        self._get_up.state = state["get_up"]
         self._sent = state["sent"]
         self._limp = state["limp"]
         self.safety.from_state(state["safety"])
@@ -302,18 +284,6 @@ class ControlCore:
         self.director.from_state(state["director"])
 
     # ------------------------------------------------------------------ output
-
-    def _command(self, inputs: TickInput, targets: JointTargets | None) -> g1_low_cmd_t:
-        """Return the command; without targets it is damping, or no torque at all."""
-        if targets is not None:
-            return make_command(inputs, g1_low_cmd_t.MODE_POSITION, targets)
-        zeros = np.zeros(29, np.float32)
-        if self.mode == control_status_t.ZERO_TORQUE or self._limp:
-            mode = g1_low_cmd_t.MODE_ZERO_TORQUE
-            return make_command(inputs, mode, JointTargets(zeros, zeros, zeros))
-        damping = np.full(29, DAMPING_GAIN, np.float32)
-        mode = g1_low_cmd_t.MODE_DAMPING
-        return make_command(inputs, mode, JointTargets(zeros, zeros, damping))
 
     def _status(
         self,
@@ -354,22 +324,3 @@ class ControlCore:
             return 0.0
         self._sent = np.asarray(command.joint_pos_target, np.float32)
         return 0.0 if before is None else float(np.abs(self._sent - before).max())
-
-
-def _estop_text(estops: tuple[estop_t, ...]) -> str:
-    """Return who asked for an emergency stop and why; empty: nobody."""
-    for msg in estops:
-        if msg.level != estop_t.CLEAR:
-            return f"{msg.source or 'somebody'}: {msg.reason or 'no reason given'}"
-    return ""
-
-
-def _fault_state(raised: RaisedFault | None) -> list[Any] | None:
-    return None if raised is None else [raised.fault.id, raised.text]
-
-
-def _fault_from(state: list[Any] | None) -> RaisedFault | None:
-    if state is None:
-        return None
-    rows = {row.id: row for row in FAULTS}
-    return RaisedFault(rows[state[0]], state[1])

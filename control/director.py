@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from downbeat.control.balance import LIMITS, FallLimits
+from downbeat.control.allowed import uncertified
 from downbeat.control.errors import ControlError
 from downbeat.control.observation import RobotState
 from downbeat.control.phase import TICK_US, PhaseLine
 from downbeat.control.player import Blend, Playback, heading_of, mix, start_playback
 from downbeat.control.policy import SkillLibrary
 from downbeat.control.requests import Request, RequestBook
-from downbeat.control.safety import looser
 from downbeat.control.skill import JointTargets, SkillOutput
 from downbeat.control.transitions import (
     Goal,
@@ -27,7 +26,7 @@ from downbeat.control.transitions import (
     walk_stop_lead_us,
 )
 from downbeat.lcm_types import control_status_t, skill_request_t, skill_status_t
-from downbeat.policies.manifest import SkillLimits, SkillManifest
+from downbeat.policies.manifest import SkillManifest
 from downbeat.runtime.errors import one_of
 
 STATE_FIELDS = (
@@ -60,21 +59,6 @@ class Frame:
 
     parts: tuple[tuple[str, SkillOutput], ...]
     targets: JointTargets
-
-
-LEARNED_FALL_LIMITS = FallLimits(step_margin_m=-math.inf, tilt_ahead_rad=1.0, base_height_m=0.35)
-"""Learned motions step and lean where they like, and catch themselves."""
-
-
-def fall_limits(manifest: SkillManifest) -> FallLimits:
-    """Return what counts as falling while a skill plays: its own limits, else its kind's."""
-    kind = LEARNED_FALL_LIMITS if manifest.policy is not None else LIMITS[manifest.kind]
-    own = manifest.limits
-    return FallLimits(
-        kind.step_margin_m if own.fall_step_margin_m is None else own.fall_step_margin_m,
-        kind.tilt_ahead_rad if own.fall_tilt_ahead_rad is None else own.fall_tilt_ahead_rad,
-        kind.base_height_m,
-    )
 
 
 OWN_FALLBACKS = ("walk", "stand")
@@ -125,49 +109,23 @@ class Director:
         return control_status_t.STAND if standing else control_status_t.SKILL
 
     @property
-    def limits(self) -> SkillLimits:
-        """What safety allows now: the skill's limits, during a blend the looser of the two."""
+    def playing(self) -> tuple[SkillManifest, ...]:
+        """The skills in play, incoming first."""
         if self.playback is None:
-            return SkillLimits()
-        own = self.playback.skill.manifest.limits
-        if self.blend is None:
-            return own
-        return looser(own, self.blend.outgoing.skill.manifest.limits)
-
-    @property
-    def fall_limits(self) -> FallLimits | None:
-        """What counts as falling now, during a blend the wider of the two; None: nothing plays."""
-        if self.playback is None:
-            return None
-        own = fall_limits(self.playback.skill.manifest)
-        if self.blend is None:
-            return own
-        other = fall_limits(self.blend.outgoing.skill.manifest)
-        return FallLimits(
-            step_margin_m=min(own.step_margin_m, other.step_margin_m),
-            tilt_ahead_rad=max(own.tilt_ahead_rad, other.tilt_ahead_rad),
-            base_height_m=min(own.base_height_m, other.base_height_m),
-        )
+            return ()
+        own = self.playback.skill.manifest
+        return (own,) if self.blend is None else (own, self.blend.outgoing.skill.manifest)
 
     def receive(self, msg: skill_request_t, now: int, tick: int, on_hardware: bool) -> None:
         """Take one SKILL_REQUEST; every answer is a status."""
         if msg.operation in (skill_request_t.START, skill_request_t.REPLACE):
-            reason = self._closed_reason or self._uncertified(msg.skill, on_hardware)
+            reason = self._closed_reason
+            if on_hardware and not reason and msg.skill in self.library:
+                reason = uncertified(self.library[msg.skill].manifest)
             if reason:
                 self.book.refuse(msg, now, tick, reason)
                 return
         self.book.receive(msg, now, tick)
-
-    def _uncertified(self, name: str, on_hardware: bool) -> str:
-        if not on_hardware or name not in self.library:
-            return ""
-        certificate = self.library[name].manifest.certificate
-        if certificate is not None and certificate.passed:
-            return ""
-        return (
-            f"Skill '{name}' has no passed certificate and does not run on hardware; "
-            f"certify it with `downbeat policy certify {name} --write`."
-        )
 
     def close(self, reason: str) -> None:
         """End what runs the normal way and refuse skills, or (empty reason) open again."""
@@ -182,11 +140,7 @@ class Director:
         Measured (docs/safety.md): an imported balance policy catches out of anything; our own walk
         catches some of the falls from planted feet, and none from footwork.
         """
-        if self.balance:
-            return True
-        blended = () if self.blend is None else (self.blend.outgoing,)
-        playing = () if self.playback is None else (self.playback, *blended)
-        return all(is_planted(one.skill.manifest) for one in playing)
+        return bool(self.balance) or all(is_planted(manifest) for manifest in self.playing)
 
     def catch(self, reason: str, state: RobotState, now: int) -> None:
         """A fall is coming: the fallback skill takes over, if that helps."""
@@ -209,6 +163,7 @@ class Director:
         self._coming = None
         self._plan = ""
         self.blend = None
+        self._alone_since_utime = now
         self._recovers_until_utime = now + RECOVERY_US
         hop, line = Hop(now, name, 0), PhaseLine(now, 0.0, 1.0)
         self.playback = start_playback(self.library[name], hop, line, state, now, 0)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from downbeat.catalog.robot import load_g1
-from downbeat.control.faults import POLICY_FAULTS, STATE_FAULTS, Reaction
+from downbeat.control.faults import FAULTS, POLICY_FAULTS, STATE_FAULTS, Reaction
 from downbeat.control.observation import RobotState
 from downbeat.control.skill import F32, SkillOutput
 from downbeat.lcm_types import g1_low_state_t
@@ -275,17 +275,19 @@ class SafetyMonitor:
         self.counters = values["counters"]
 
 
-def looser(a: SkillLimits, b: SkillLimits) -> SkillLimits:
-    """Return the looser of two skills' limits: what a blend between them may do."""
-    return SkillLimits(
-        tilt_rad=max(a.tilt_rad, b.tilt_rad),
-        joint_range_tolerance_rad=max(a.joint_range_tolerance_rad, b.joint_range_tolerance_rad),
-        joint_speed_ratio=max(a.joint_speed_ratio, b.joint_speed_ratio),
-        torque_ratio=max(a.torque_ratio, b.torque_ratio),
-        saturated_s=max(a.saturated_s, b.saturated_s),
-    )
-
-
 def _is_finite(values: F32) -> bool:
     # A sum is finite only if every term is, unless it overflows, which is no better.
     return math.isfinite(float(values.sum()))
+
+
+def fault_to_state(raised: RaisedFault | None) -> list[Any] | None:
+    """Return a raised fault as plain values."""
+    return None if raised is None else [raised.fault.id, raised.text]
+
+
+def fault_from_state(state: list[Any] | None) -> RaisedFault | None:
+    """Return the fault that `fault_to_state` described."""
+    if state is None:
+        return None
+    rows = {row.id: row for row in FAULTS}
+    return RaisedFault(rows[state[0]], state[1])

@@ -17,6 +17,7 @@ import numpy as np
 from downbeat.control.balance import PredictorState
 from downbeat.control.errors import ControlError
 from downbeat.control.estimate import EstimatorState
+from downbeat.control.get_up import GetUpState
 from downbeat.control.motion import Alignment
 from downbeat.control.phase import FollowLimits, PhaseFollower, PhaseLine
 from downbeat.control.player import Blend, Playback, Velocity
@@ -36,6 +37,7 @@ _CLASSES: Mapping[str, type] = {
         Blend,
         EstimatorState,
         FollowLimits,
+        GetUpState,
         Hop,
         PhaseFollower,
         PhaseLine,

@@ -20,6 +20,8 @@ from downbeat.lcm_types import (
     skill_request_t,
 )
 
+DAMPING_GAIN = 2.0
+"""[N m s/rad] of every joint in damping: the robot sinks slowly."""
 COMMAND_VALID_US = 100_000
 """A command holds for five ticks; then the receiver goes to damping."""
 
@@ -105,3 +107,23 @@ def make_command(inputs: TickInput, mode: int, targets: JointTargets) -> g1_low_
     command.joint_stiffness = targets.joint_stiffness
     command.joint_damping = targets.joint_damping
     return cast(g1_low_cmd_t, command)
+
+
+def command_for(inputs: TickInput, targets: JointTargets | None, is_limp: bool) -> g1_low_cmd_t:
+    """Return the command of a tick; without targets it is damping, or no torque at all."""
+    if targets is not None:
+        return make_command(inputs, g1_low_cmd_t.MODE_POSITION, targets)
+    zeros = np.zeros(29, np.float32)
+    if is_limp:
+        targets = JointTargets(zeros, zeros, zeros)
+        return make_command(inputs, g1_low_cmd_t.MODE_ZERO_TORQUE, targets)
+    damping = np.full(29, DAMPING_GAIN, np.float32)
+    return make_command(inputs, g1_low_cmd_t.MODE_DAMPING, JointTargets(zeros, zeros, damping))
+
+
+def estop_text(estops: tuple[estop_t, ...]) -> str:
+    """Return who asked for an emergency stop and why; empty: nobody."""
+    for msg in estops:
+        if msg.level != estop_t.CLEAR:
+            return f"{msg.source or 'somebody'}: {msg.reason or 'no reason given'}"
+    return ""

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from downbeat.control.allowed import allowed_fall_limits
 from downbeat.control.balance import FallPredictor, PredictorConfig, tilt_and_rate
 from downbeat.control.core import ControlCore
 from downbeat.control.estimate import Estimate, StateEstimator
@@ -87,7 +88,7 @@ def watch(library: SkillLibrary, trial: MotionTrial) -> Outcome:
             fell_s = sample.time_s
             break
         estimate, tilt, tilt_rate = look(estimator, sample)
-        limits = core.director.fall_limits
+        limits = allowed_fall_limits(core.director.playing)
         if sample.time_s < SETTLED_S or limits is None:
             continue
         if sample.time_s <= pushed_s:
