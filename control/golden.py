@@ -47,12 +47,24 @@ def states(seed: int = 0, ticks: int = TICKS) -> list[RobotState]:
 
 
 def record(skill: Skill) -> Table:
-    """Play `TICKS` ticks and return what was seen and done."""
+    """Play `TICKS` ticks and return what was seen and done.
+
+    Raises:
+        ControlError: The network does not run, or its actions are not finite.
+    """
     memory = skill.begin(states()[0], 0.0)
     command = np.array([0.3, 0.1, -0.2], np.float32)
     rows: dict[str, list[F32]] = {"obs": [], "action": [], "target": []}
     for tick, state in enumerate(states()):
-        output = skill.step(memory, state, tick * 0.02, command)
+        try:
+            output = skill.step(memory, state, tick * 0.02, command)
+        except Exception as error:  # onnxruntime raises a dozen types of its own
+            raise ControlError(f"'{skill.manifest.name}' does not run: {error}.") from error
+        if not (np.isfinite(output.action).all() and np.isfinite(output.targets.joint_pos).all()):
+            raise ControlError(
+                f"'{skill.manifest.name}' answers plausible states with actions that are not "
+                f"finite, at tick {tick}."
+            )
         rows["obs"].append(output.obs.copy())
         rows["action"].append(output.action.copy())
         rows["target"].append(output.targets.joint_pos.copy())

@@ -11,11 +11,18 @@ from rich.console import Console
 
 from downbeat.control.golden import GOLDEN_NAME, verify_golden, write_golden
 from downbeat.control.network import NetworkSkill
+from downbeat.policies.errors import PolicyError
 from downbeat.policies.importers.context import ImportContext, parse_settings
 from downbeat.policies.importers.detect import read_policy
-from downbeat.policies.importers.package import skill_name, write_skill
+from downbeat.policies.importers.package import (
+    skill_name,
+    source_of,
+    staging,
+    write_skill,
+)
 from downbeat.policies.manifest import SkillManifest, file_sha256, load_manifest
 from downbeat.policies.toml_edit import set_files
+from downbeat.runtime.errors import DownbeatError
 
 
 def import_policy(
@@ -33,16 +40,27 @@ def import_policy(
     """
     ctx = ImportContext(path, name or skill_name(path.resolve()), profile, parse_settings(settings))
     draft = read_policy(ctx)
-    manifest = write_skill(ctx, draft, out, licence)
-    golden = write_golden(NetworkSkill(manifest))
-    set_files(
-        manifest.folder / "manifest.toml",
-        (*manifest.extra_files, GOLDEN_NAME),
-        (*manifest.extra_sha256, file_sha256(golden)),
-    )
-    final = load_manifest(manifest.folder / "manifest.toml")
-    verify_golden(NetworkSkill(final))
-    return final
+    with staging(out, ctx.name, source_of(ctx)) as folder:
+        manifest = write_skill(ctx, draft, folder, licence)
+        golden = write_golden(_open(manifest))
+        set_files(
+            folder / "manifest.toml",
+            (*manifest.extra_files, GOLDEN_NAME),
+            (*manifest.extra_sha256, file_sha256(golden)),
+        )
+        verify_golden(NetworkSkill(load_manifest(folder / "manifest.toml")))
+    return load_manifest(out / ctx.name / "manifest.toml")
+
+
+def _open(manifest: SkillManifest) -> NetworkSkill:
+    """Open a skill for the first time; nothing is known yet about how its network runs."""
+    try:
+        return NetworkSkill(manifest)
+    except DownbeatError:
+        raise
+    except Exception as error:  # onnxruntime raises a dozen types of its own
+        line = " ".join(str(error).split())[:300].rstrip(".")
+        raise PolicyError(f"{manifest.source} cannot be run: {line}.") from error
 
 
 def import_command(

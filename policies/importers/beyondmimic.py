@@ -8,15 +8,21 @@ from typing import Any
 import numpy as np
 
 from downbeat.policies.errors import PolicyError
+from downbeat.policies.importers.baked import anchored, read_baked
 from downbeat.policies.importers.build import (
+    TIME_STEP,
+    action_output,
     check_against_network,
     command_ranges,
     held_joints,
     joints,
+    obs_input,
+    recurrent_pairs,
     terms_from,
 )
 from downbeat.policies.importers.context import Draft, ImportContext
-from downbeat.policies.importers.motion import RATE_HZ, from_network
+from downbeat.policies.importers.motion import RATE_HZ, Tables
+from downbeat.policies.importers.motion_files import motion_beside
 from downbeat.policies.importers.network import Network
 from downbeat.policies.importers.profiles import VELOCITY_RANGES
 from downbeat.policies.importers.values import csv_numbers, csv_texts
@@ -31,21 +37,23 @@ NEEDED = (
     "action_scale",
     "observation_names",
 )
+NUMBERS = ("joint_stiffness", "joint_damping", "default_joint_pos", "action_scale")
 TERMS: Mapping[str, str] = {
     "joint_pos": "joint_pos_rel",
     "joint_vel": "joint_vel",
+    "joint_vel_rel": "joint_vel",
     "actions": "last_action",
     "motion_ref_pos_b": "motion_anchor_pos_b",
     "motion_ref_ori_b": "motion_anchor_ori_b",
     "velocity_commands": "velocity_commands",
 }
 """`command` is a motion or a velocity, as `command_names` says."""
-MOTION_COMMANDS = ("motion",)
+MOTION_COMMAND = "motion"
 
 
 def recognises(network: Network) -> bool:
-    """Whether the file carries this metadata."""
-    return "observation_names" in network.metadata and "joint_names" in network.metadata
+    """Whether the file carries metadata of this kind, complete or not."""
+    return len({*NEEDED, "command_names"} & set(network.metadata)) >= 2
 
 
 def import_policy(ctx: ImportContext, network: Network) -> Draft:
@@ -54,43 +62,25 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
     Raises:
         PolicyError: Names the field that is missing or contradicts.
     """
-    meta, where = network.metadata, f"{network.path}:metadata"
-    for key in NEEDED:
-        if key not in meta and ctx.setting(key) is None:
-            raise ctx.need(key, f"its metadata has {one_of(meta)}")
-    names = csv_texts(meta["joint_names"])
-    numbers = {
-        key: csv_numbers(meta[key], f"{where}.{key}") if key in meta else ()
-        for key in ("default_joint_pos", "joint_stiffness", "joint_damping", "action_scale")
-    }
-    scale: Any = numbers["action_scale"]
-    scale = scale[0] if len(scale) == 1 else scale
+    where = f"{network.path}:metadata"
+    values = {key: _value(ctx, network, key) for key in NEEDED}
     moved = joints(
         ctx,
-        names,
-        numbers["default_joint_pos"],
-        numbers["joint_stiffness"],
-        numbers["joint_damping"],
-        scale,
-        numbers["default_joint_pos"],
+        values["joint_names"],
+        values["default_joint_pos"],
+        values["joint_stiffness"],
+        values["joint_damping"],
+        values["action_scale"],
+        values["default_joint_pos"],
         where,
     )
-    takes_time = "time_step" in network.inputs
-    obs_input = next((name for name in network.inputs if name != "time_step"), "")
-    tables = None
-    motion = None
-    if takes_time:
-        width = network.width(obs_input)
-        anchor = meta.get("anchor_body_name", "")
-        bodies = csv_texts(meta.get("body_names", ""))
-        tables = from_network(
-            network, anchor, bodies, {obs_input: np.zeros((1, width), np.float32)}
-        )
-        motion = MotionSpec("motion.npz", len(tables["joint_pos"]), RATE_HZ, anchor)
+    obs, action = obs_input(network), action_output(network, len(moved.names))
+    terms = _terms(ctx, network, values["observation_names"], where)
+    takes_time = TIME_STEP in network.inputs
     spec = PolicySpec(
         dialect="beyondmimic" if takes_time else "mjlab",
-        inputs=(InputSpec(obs_input, _terms(ctx, network, bool(motion), where)),),
-        action_output="actions" if "actions" in network.outputs else next(iter(network.outputs)),
+        inputs=(InputSpec(obs, terms),),
+        action_output=action,
         joint_names=moved.names,
         default_joint_pos=moved.default,
         action_scale=moved.scale,
@@ -98,33 +88,90 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
         joint_stiffness=moved.stiffness,
         joint_damping=moved.damping,
         held=held_joints(ctx, moved.names),
-        time_step_input="time_step" if takes_time else "",
-        motion=motion,
+        time_step_input=TIME_STEP if takes_time else "",
+        recurrent=recurrent_pairs(network, (obs, TIME_STEP), action),
+        motion=MotionSpec("motion.npz", 2, RATE_HZ, "torso_link") if _tracks(terms) else None,
     )
     check_against_network(spec, network)
-    if motion is not None:
-        return Draft(spec, network.path, "tracking", motion.rows / RATE_HZ, tables)
+    if spec.motion is not None:
+        anchor = _anchor(ctx, network)
+        if takes_time:
+            tables = _baked(ctx, network, anchor)
+        else:
+            tables = motion_beside(ctx, network.path.parent, moved.names, anchor)
+        return Draft.tracking(spec, network.path, tables, anchor)
     if not spec.takes_command:
         raise PolicyError(
             f"{network.path} follows neither a motion nor a velocity command; its terms are "
-            f"{meta['observation_names']}."
+            f"{one_of(values['observation_names'])} ({where}.observation_names)."
         )
     return Draft(spec, network.path, "locomotion", 1.0, command=_ranges(ctx))
 
 
+def _value(ctx: ImportContext, network: Network, key: str) -> Any:
+    """Return a field as the file has it, or what the user set."""
+    meta, where = network.metadata, f"{network.path}:metadata.{key}"
+    given = ctx.setting(key)
+    if given is not None:
+        # `joints` asks again and says that it was set; the observation names are only asked here.
+        if key == "observation_names":
+            ctx.infer(key, given, "--set")
+        return csv_texts(given) if isinstance(given, str) else given
+    if key not in meta:
+        raise ctx.need(key, f"its metadata has {one_of(meta)}")
+    if key not in NUMBERS:
+        return csv_texts(meta[key])
+    numbers = csv_numbers(meta[key], where)
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _anchor(ctx: ImportContext, network: Network) -> str:
+    found = network.metadata.get("anchor_body_name")
+    given = ctx.setting("anchor_body_name")
+    if given is None and found is None:
+        raise ctx.need("anchor_body_name", "torso_link and pelvis are valid")
+    anchor = str(ctx.found("anchor_body_name", found))
+    if anchor not in ("torso_link", "pelvis"):
+        raise PolicyError(
+            f"Anchor body '{anchor}' cannot be tracked; valid are torso_link and pelvis "
+            f"({network.path}:metadata.anchor_body_name)."
+        )
+    return anchor
+
+
+def _baked(ctx: ImportContext, network: Network, anchor: str) -> Tables:
+    bodies = csv_texts(network.metadata.get("body_names", ""))
+    if anchor not in bodies:
+        raise PolicyError(
+            f"Anchor body '{anchor}' of {network.path} is not among its bodies {one_of(bodies)} "
+            "(metadata: anchor_body_name, body_names)."
+        )
+    tables = read_baked(network, ("joint_pos", "joint_vel", "body_pos_w", "body_quat_w"))
+    if tables["body_pos_w"].shape[1:] != (len(bodies), 3):
+        raise PolicyError(
+            f"The motion in {network.path} has bodies {tables['body_pos_w'].shape[1:]}, its "
+            f"metadata names {len(bodies)} (body_names)."
+        )
+    index = bodies.index(anchor)
+    ctx.note(f"motion.rate_hz = {RATE_HZ:g}: one baked row a tick, as the format is played")
+    quats = np.ascontiguousarray(tables["body_quat_w"][:, index])
+    return anchored(tables, tables["body_pos_w"][:, index], quats, str(network.path))
+
+
+def _tracks(terms: tuple[TermSpec, ...]) -> bool:
+    return any(term.name.startswith("motion_") for term in terms)
+
+
 def _terms(
-    ctx: ImportContext, network: Network, has_motion: bool, where: str
+    ctx: ImportContext, network: Network, names: tuple[str, ...], where: str
 ) -> tuple[TermSpec, ...]:
     meta = network.metadata
     commands = csv_texts(meta.get("command_names", ""))
-    tracks = has_motion or any(name in MOTION_COMMANDS for name in commands)
+    tracks = TIME_STEP in network.inputs or any(MOTION_COMMAND in name for name in commands)
+    if "command" in names and "command_names" not in meta:
+        meaning = "a motion" if tracks else "a velocity"
+        ctx.note(f"command = {meaning}: its inputs are {', '.join(network.inputs)}")
     dialect = {**TERMS, "command": "motion_command" if tracks else "velocity_commands"}
-    if tracks and not has_motion:
-        raise PolicyError(
-            f"{network.path} follows a motion but has no input 'time_step' to read one; its "
-            f"inputs are {one_of(network.inputs)}."
-        )
-    names = csv_texts(meta["observation_names"])
     found = terms_from(names, dialect, {}, f"{where}.observation_names")
     lengths = meta.get("observation_history_lengths", "")
     if not lengths:
@@ -135,6 +182,8 @@ def _terms(
             f"{len(counts)} history lengths for {len(found)} terms "
             f"({where}.observation_history_lengths)."
         )
+    if max(counts) > 1:
+        ctx.note("history = oldest first, by term, filled with the first sample: Isaac Lab's way")
     return tuple(
         TermSpec(term.name, term.scale, term.clip, max(1, int(count)))
         for term, count in zip(found, counts, strict=True)

@@ -11,12 +11,19 @@ from downbeat.policies.errors import PolicyError
 from downbeat.policies.importers.context import ImportContext
 from downbeat.policies.importers.network import Network
 from downbeat.policies.importers.values import finite, spread
-from downbeat.policies.spec import HeldJoints, InputSpec, PolicySpec, TermSpec
+from downbeat.policies.spec import (
+    HeldJoints,
+    PolicySpec,
+    RecurrentSpec,
+    TermSpec,
+)
 from downbeat.policies.spec_toml import check_spec
 from downbeat.policies.terms import TERM_WIDTHS
 from downbeat.runtime.errors import one_of
 
-SCALAR_TERMS = "term scales"
+POSE_TOLERANCE_RAD = 0.5
+"""A default pose this far beyond a joint's range belongs to another robot or another order."""
+TIME_STEP = "time_step"
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,7 @@ def joints(
     where: str,
 ) -> Joints:
     """Check and collect the joint arrays; `--set` may replace each of them."""
-    checked = check_names(names, where)
+    checked = check_names(ctx.found("joint_names", names), where)
     count = len(checked)
     table = {
         "default_joint_pos": default,
@@ -69,6 +76,7 @@ def joints(
     values = {
         key: spread(ctx.found(key, value), count, f"{where}:{key}") for key, value in table.items()
     }
+    _check_pose(checked, values["default_joint_pos"], where)
     return Joints(
         checked,
         values["default_joint_pos"],
@@ -79,6 +87,77 @@ def joints(
     )
 
 
+def _check_pose(names: Sequence[str], default: Sequence[float], where: str) -> None:
+    robot = load_g1()
+    for name, value in zip(names, default, strict=True):
+        low, high = (float(v) for v in robot.joint_range[robot.joint_index(name)])
+        if not low - POSE_TOLERANCE_RAD <= value <= high + POSE_TOLERANCE_RAD:
+            raise PolicyError(
+                f"The default pose has {name} at {value:g} rad; the joint's range is {low:g}.."
+                f"{high:g} ({where}:default_joint_pos)."
+            )
+
+
+def recurrent_pairs(network: Network, fed: Sequence[str], action: str) -> tuple[RecurrentSpec, ...]:
+    """Pair recurrent inputs with outputs by name (h_in, h_out) and shape.
+
+    Args:
+        network: The file.
+        fed: Inputs that are fed with something else.
+        action: Output with the actions.
+
+    Raises:
+        PolicyError: An input has no output.
+    """
+    pairs = []
+    for name, shape in network.inputs.items():
+        if name in fed:
+            continue
+        twin = name.removesuffix("_in") + "_out"
+        if not name.endswith("_in") or twin == action or network.outputs.get(twin) != shape:
+            raise PolicyError(
+                f"Nothing is known about input '{name}' {list(shape)} of {network.path}: it has no "
+                f"output of its shape to be fed back from (h_in from h_out); outputs are "
+                f"{one_of(network.outputs)}."
+            )
+        pairs.append(RecurrentSpec(name, twin, shape))
+    return tuple(pairs)
+
+
+def obs_input(network: Network) -> str:
+    """Return the name of the only input that carries observations.
+
+    Raises:
+        PolicyError: There is none, or there are several.
+    """
+    names = [n for n in network.inputs if n != TIME_STEP and not n.endswith("_in")]
+    if len(names) != 1 and "obs" in names:
+        return "obs"
+    if len(names) != 1:
+        raise PolicyError(
+            f"{network.path} has inputs {one_of(network.inputs)}; exactly one observation is "
+            "expected."
+        )
+    return names[0]
+
+
+def action_output(network: Network, num_joints: int) -> str:
+    """Return the name of the output with the actions: `actions`, `action`, or the only one.
+
+    Raises:
+        PolicyError: None has a width of `num_joints`.
+    """
+    wide = [name for name, shape in network.outputs.items() if shape[-1:] == (num_joints,)]
+    for name in ("actions", "action", *wide):
+        if name in wide:
+            return name
+    found = ", ".join(f"{name} {list(shape)}" for name, shape in network.outputs.items())
+    raise PolicyError(
+        f"{network.path} has outputs {found}; one of {num_joints} actions is expected for its "
+        f"{num_joints} joints."
+    )
+
+
 def held_joints(ctx: ImportContext, moved: Sequence[str]) -> HeldJoints:
     """Hold what the network leaves alone: our default pose with our gains."""
     robot = load_g1()
@@ -86,7 +165,7 @@ def held_joints(ctx: ImportContext, moved: Sequence[str]) -> HeldJoints:
     if not names:
         return HeldJoints()
     index = [robot.joint_index(name) for name in names]
-    ctx.inferred.append(
+    ctx.note(
         f"held joints = {len(names)} ({names[0]} ... {names[-1]}): catalog/g1_facts.json, stand "
         "pose and gains"
     )
@@ -129,6 +208,11 @@ def check_against_network(spec: PolicySpec, network: Network) -> PolicySpec:
     n = spec.num_joints
     for one in spec.inputs:
         wanted = one.width(n)
+        if network.width(one.name) == 0:
+            raise PolicyError(
+                f"Input '{one.name}' of {network.path} has no fixed width; its terms are {wanted}, "
+                "export it with that."
+            )
         if network.width(one.name) != wanted:
             parts = ", ".join(f"{t.name} {t.width(n) * t.history}" for t in one.terms)
             raise PolicyError(
@@ -167,9 +251,3 @@ def command_ranges(ctx: ImportContext, found: Mapping[str, Any] | None, keys: Se
             )
         ranges.append((low_high[0], low_high[1]))
     return tuple(ranges)
-
-
-def one_input(network: Network, terms: tuple[TermSpec, ...], **options: Any) -> InputSpec:
-    """Return the spec of the network's only observation input."""
-    name = next(iter(network.inputs))
-    return InputSpec(name, terms, **options)

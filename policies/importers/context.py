@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from downbeat.policies.errors import PolicyError
-from downbeat.policies.spec import PolicySpec
+from downbeat.policies.spec import MotionSpec, PolicySpec
 from downbeat.runtime.errors import one_of
+
+Profile = TypeVar("Profile")
+RATE_HZ = 50.0
 
 
 @dataclass
@@ -21,6 +24,7 @@ class ImportContext:
         path: What the user named: a file or the author's folder.
         name: Name of the skill to be.
         profile: Named profile that the user asked for; empty: none.
+        profiles: Names of the profiles that would have been valid, known after the import.
         settings: `--set key=value` of the user, parsed.
         inferred: "field = value: from where", for everything not found in the policy's own files.
         known: Keys that the importer would take from the user.
@@ -32,6 +36,26 @@ class ImportContext:
     settings: dict[str, Any] = field(default_factory=dict)
     inferred: list[str] = field(default_factory=list)
     known: set[str] = field(default_factory=set)
+    profiles: set[str] = field(default_factory=set)
+
+    def pick(self, profiles: Mapping[str, Profile], default: str) -> tuple[str, Profile | None]:
+        """Return (name, profile): the one that the user asked for, or the family's default.
+
+        Args:
+            profiles: All of the family.
+            default: Name of the default; one that is not among them: none.
+
+        Raises:
+            PolicyError: The user asked for one that the family does not have.
+        """
+        self.profiles |= set(profiles)
+        if self.profile and self.profile not in profiles:
+            raise PolicyError(
+                f"Profile '{self.profile}' does not apply to {self.path}; valid are "
+                f"{one_of(profiles)} (--profile)."
+            )
+        name = self.profile or default
+        return name, profiles.get(name)
 
     def setting(self, key: str) -> Any:
         """Return what the user set for `key`, None if nothing."""
@@ -50,6 +74,10 @@ class ImportContext:
         """Return what the user set for `key`, else what the policy's own files say."""
         return value if self.setting(key) is None else self.infer(key, value, "--set")
 
+    def note(self, line: str) -> None:
+        """Record a "field = value: from where" that cannot be set."""
+        self.inferred.append(line)
+
     def need(self, key: str, alternatives: str) -> PolicyError:
         """Return the error for a field that nobody supplies."""
         return PolicyError(
@@ -67,6 +95,11 @@ class ImportContext:
             raise PolicyError(
                 f"'{unknown[0]}' cannot be set for {self.path}; valid are {one_of(self.known)} "
                 "(--set)."
+            )
+        if self.profile and self.profile not in self.profiles:
+            raise PolicyError(
+                f"{self.path} needs no profile, '{self.profile}' does not apply; valid are "
+                f"{one_of(self.profiles)} (--profile)."
             )
 
 
@@ -92,6 +125,15 @@ class Draft:
     command: tuple[tuple[float, float], ...] | None = None
     licence: str = ""
 
+    @classmethod
+    def tracking(
+        cls, spec: PolicySpec, onnx: Path, motion: Mapping[str, Any], anchor: str
+    ) -> Draft:
+        """Return the draft of a policy that follows a motion."""
+        rows = len(motion["joint_pos"])
+        about = MotionSpec("motion.npz", rows, RATE_HZ, anchor)
+        return cls(replace(spec, motion=about), onnx, "tracking", rows / RATE_HZ, motion)
+
 
 def parse_settings(items: Sequence[str]) -> dict[str, Any]:
     """Parse `key=value` items; values are numbers, true, false, lists or texts.
@@ -111,6 +153,6 @@ def parse_settings(items: Sequence[str]) -> dict[str, Any]:
     return settings
 
 
-def _short(value: Any, length: int = 60) -> str:
+def _short(value: Any, length: int = 100) -> str:
     text = f"{value:g}" if isinstance(value, float) else str(value)
     return text if len(text) <= length else f"{text[: length - 3]}..."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from downbeat.policies.errors import PolicyError
-from downbeat.policies.importers import beyondmimic, holosoma, rl_gym, unitree
+from downbeat.policies.importers import beyondmimic, holosoma, rl_gym, unitree, written
 from downbeat.policies.importers.context import Draft, ImportContext
 from downbeat.policies.importers.network import Network, read_network
 from downbeat.runtime.errors import one_of
@@ -15,6 +15,7 @@ FORMATS = (
     "holosoma ONNX (metadata dof_names, kp, kd)",
     "a unitree_rl_lab or unitree_rl_mjlab folder (params/deploy.yaml, exported/policy.onnx)",
     "the unitree_rl_gym network (47 observations, 12 actions)",
+    "any ONNX with a description of ours beside it (NAME.toml with a [policy] table)",
 )
 
 
@@ -27,23 +28,21 @@ def read_policy(ctx: ImportContext) -> Draft:
     path = ctx.path
     if not path.exists():
         raise PolicyError(f"There is nothing at {path}.")
-    folder = _unitree_folder(path)
+    folder = _unitree_folder(path.absolute())
     if folder is not None:
         draft = unitree.import_policy(ctx, folder)
     else:
-        network = read_network(_onnx_file(path))
-        draft = _from_network(ctx, network)
+        draft = _from_network(ctx, read_network(_onnx_file(path)))
     ctx.check_settings()
     return draft
 
 
 def _unitree_folder(path: Path) -> Path | None:
-    if path.is_dir():
-        return path if unitree.recognises(path) else None
-    if path.name == "deploy.yaml" or path.parent.name == "exported":
-        above = path.parent.parent
-        return above if unitree.recognises(above) else None
-    return None
+    """Return the author's folder, whichever part of it was named."""
+    above = [path, path.parent] if path.is_dir() else [path.parent.parent]
+    if path.is_dir() and path.name not in ("params", "exported"):
+        above = [path]
+    return next((folder for folder in above if unitree.recognises(folder)), None)
 
 
 def _onnx_file(path: Path) -> Path:
@@ -59,12 +58,9 @@ def _onnx_file(path: Path) -> Path:
 
 
 def _from_network(ctx: ImportContext, network: Network) -> Draft:
-    if beyondmimic.recognises(network):
-        return beyondmimic.import_policy(ctx, network)
-    if holosoma.recognises(network):
-        return holosoma.import_policy(ctx, network)
-    if rl_gym.recognises(network):
-        return rl_gym.import_policy(ctx, network)
+    for importer in (written, beyondmimic, holosoma, rl_gym):
+        if importer.recognises(network):
+            return importer.import_policy(ctx, network)
     shapes = ", ".join(f"{name} {list(shape)}" for name, shape in network.inputs.items())
     keys = one_of(network.metadata) if network.metadata else "none"
     raise PolicyError(

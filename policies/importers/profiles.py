@@ -8,9 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from downbeat.policies.errors import PolicyError
-from downbeat.runtime.errors import one_of
-
 LEGS = (
     "left_hip_pitch_joint",
     "left_hip_roll_joint",
@@ -42,14 +39,14 @@ class HolosomaProfile:
     Attributes:
         default_joint_pos: (29,) motor order [rad].
         action_scale: [rad].
-        gait_period_s: [s].
+        gait_period_s: [s]; None: no gait clock, it tracks a motion.
         terms: Of the observation; the network sees them in alphabetical order.
         scales: Factor of a term.
     """
 
     default_joint_pos: tuple[float, ...] = KNEES_BENT
     action_scale: float = 0.25
-    gait_period_s: float = 1.0
+    gait_period_s: float | None = 1.0
     terms: tuple[str, ...] = (
         "actions",
         "base_ang_vel",
@@ -85,34 +82,45 @@ class RlGymProfile:
 
 @dataclass(frozen=True)
 class MotionWindow:
-    """Which part of a published motion file its author's state machine plays [s]."""
+    """Which part of a published motion file its author's state machine plays.
 
+    Attributes:
+        file: Name of the file.
+        start_s, end_s: [s].
+        rate_hz: Rows per second.
+    """
+
+    file: str
     start_s: float
-    end_s: float | None
+    end_s: float
     rate_hz: float = 60.0
 
 
 HOLOSOMA = {
     "holosoma_g1_29dof": HolosomaProfile(scales={"base_ang_vel": 0.25, "dof_vel": 0.05}),
+    "holosoma_g1_wbt": HolosomaProfile(
+        action_scale=1.0,
+        gait_period_s=None,
+        terms=(
+            "actions",
+            "base_ang_vel",
+            "dof_pos",
+            "dof_vel",
+            "motion_command",
+            "motion_ref_ori_b",
+        ),
+    ),
 }
 RL_GYM = {"unitree_rl_gym_g1": RlGymProfile()}
 WINDOWS = {
-    "G1_Take_102.bvh_60hz": MotionWindow(2.8, 24.0),
-    "G1_gangnam_style_V01.bvh_60hz": MotionWindow(5.2, 25.5),
-    "my_dance_60hz": MotionWindow(0.0, 10.0),
+    "dance_102": MotionWindow("G1_Take_102.bvh_60hz.csv", 2.8, 24.0),
+    "gangnam_style": MotionWindow("G1_gangnam_style_V01.bvh_60hz.csv", 5.2, 25.5),
+    "my_dance": MotionWindow("my_dance_60hz.csv", 0.0, 10.0),
+    "bata_dias": MotionWindow("bata_dias_full_60hz.csv", 0.0, 12.5),
+    "dance_102_23dof": MotionWindow("dance_102_23dof_60hz.csv", 0.0, 20.0),
+    "gangnam_style_23dof": MotionWindow("gangnam_style_23dof_60hz.csv", 0.0, 25.0),
+    "bata_dias_23dof": MotionWindow("bata_dias_23dof_60hz.csv", 0.0, 12.5),
 }
-"""By the name of the motion file."""
+"""Chosen by the name of the motion file, or with --profile."""
 VELOCITY_RANGES = ((-0.4, 0.6), (-0.3, 0.3), (-0.5, 0.5))
 """vx, vy [m/s], yaw rate [rad/s] for velocity policies that name none: careful."""
-
-
-def pick(profiles: Mapping[str, object], asked: str, default: str) -> tuple[str, object]:
-    """Return (name, profile): the one asked for, or the family's default.
-
-    Raises:
-        PolicyError: There is none of that name.
-    """
-    name = asked or default
-    if name not in profiles:
-        raise PolicyError(f"Profile '{name}' is unknown; valid are {one_of(profiles)} (--profile).")
-    return name, profiles[name]

@@ -8,10 +8,15 @@ from typing import Any, cast
 
 from downbeat.catalog.robot import load_g1
 from downbeat.policies.errors import PolicyError
-from downbeat.policies.importers.build import check_against_network, joints
+from downbeat.policies.importers.build import (
+    check_against_network,
+    command_ranges,
+    joints,
+    recurrent_pairs,
+)
 from downbeat.policies.importers.context import Draft, ImportContext
 from downbeat.policies.importers.network import Network
-from downbeat.policies.importers.profiles import RL_GYM, RlGymProfile, pick
+from downbeat.policies.importers.profiles import RL_GYM, RlGymProfile
 from downbeat.policies.importers.safe_yaml import read_yaml
 from downbeat.policies.importers.values import finite
 from downbeat.policies.spec import (
@@ -19,7 +24,6 @@ from downbeat.policies.spec import (
     HeldJoints,
     InputSpec,
     PolicySpec,
-    RecurrentSpec,
     TermSpec,
 )
 
@@ -52,12 +56,13 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
     Raises:
         PolicyError: Names the field that is missing or contradicts.
     """
-    name, found = pick(RL_GYM, ctx.profile, "unitree_rl_gym_g1")
+    name, found = ctx.pick(RL_GYM, "unitree_rl_gym_g1")
     profile = cast(RlGymProfile, found)
-    values = _numbers(ctx, network.path.with_name(CONFIG_NAME), profile, f"profile {name}")
-    ctx.infer("joint_names", "12 legs, motor order", f"built-in profile {name}")
-    ctx.infer("gait.period_s", profile.gait_period_s, f"built-in profile {name}")
-    ctx.infer("observation terms", "fixed block of 47", f"built-in profile {name}")
+    source = f"built-in profile {name}"
+    values = _numbers(ctx, network.path.with_name(CONFIG_NAME), profile, source)
+    ctx.note(f"joint_names = 12 legs, motor order: {source}")
+    period = finite([ctx.infer("gait.period_s", profile.gait_period_s, source)], "gait.period_s")[0]
+    ctx.note(f"observation terms = the family's block of {NUM_OBS}: {source}")
     moved = joints(
         ctx,
         profile.joint_names,
@@ -79,7 +84,6 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
     )
     obs_input = next(n for n, shape in network.inputs.items() if shape[-1] == NUM_OBS)
     action = next(n for n, shape in network.outputs.items() if shape[-1] == NUM_ACTIONS)
-    period = profile.gait_period_s
     spec = PolicySpec(
         dialect="unitree_rl_gym",
         inputs=(InputSpec(obs_input, terms),),
@@ -90,14 +94,16 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
         action_offset=moved.offset,
         joint_stiffness=moved.stiffness,
         joint_damping=moved.damping,
-        held=_held(ctx, profile, f"built-in profile {name}"),
-        recurrent=recurrent_pairs(network, obs_input, action),
+        held=_held(ctx, profile, source),
+        recurrent=recurrent_pairs(network, (obs_input,), action),
         gait=GaitSpec(period, start=TICK_S / period),
     )
     check_against_network(spec, network)
-    for key, low_high in zip(("vx", "vy", "yaw_rate"), RANGES, strict=True):
-        ctx.infer(f"command.{key}", low_high, f"built-in profile {name}")
-    return Draft(spec, network.path, "locomotion", period, command=RANGES)
+    keys = ("vx", "vy", "yaw_rate")
+    for key, low_high in zip(keys, RANGES, strict=True):
+        ctx.infer(f"command.{key}", low_high, source)
+    command = command_ranges(ctx, dict(zip(keys, RANGES, strict=True)), keys)
+    return Draft(spec, network.path, "locomotion", period, command=command)
 
 
 def _numbers(
@@ -106,7 +112,7 @@ def _numbers(
     """Return the author's numbers from g1.yaml, or the profile's where there is no such file."""
     values: dict[str, Any] = {key: asdict(profile)[key] for key in FROM_YAML}
     if not config.is_file():
-        ctx.inferred.append(f"gains, defaults, scales: built-in {source}; no {CONFIG_NAME} beside")
+        ctx.note(f"gains, defaults, scales = the family's: {source}, no {CONFIG_NAME} beside it")
         return values
     table = read_yaml(config)
     for key, wanted in (("num_obs", NUM_OBS), ("num_actions", NUM_ACTIONS)):
@@ -120,33 +126,13 @@ def _numbers(
         values[key] = table[key]
     for key in ("ang_vel_scale", "dof_pos_scale", "dof_vel_scale", "action_scale"):
         values[key] = finite([values[key]], f"{config}:{key}")[0]
-    ctx.inferred.append(f"gains, defaults, scales: {CONFIG_NAME} beside the network")
+    ctx.note(f"gains, defaults, scales = the author's: {CONFIG_NAME} beside the network")
     return values
-
-
-def recurrent_pairs(network: Network, obs_input: str, action: str) -> tuple[RecurrentSpec, ...]:
-    """Pair recurrent inputs with outputs by name (h_in, h_out) and shape.
-
-    Raises:
-        PolicyError: An input has no output.
-    """
-    pairs = []
-    for name, shape in network.inputs.items():
-        if name in (obs_input, "time_step"):
-            continue
-        twin = name.replace("_in", "_out")
-        if twin in (name, action) or network.outputs.get(twin) != shape:
-            raise PolicyError(
-                f"Input '{name}' {shape} of {network.path} has no output '{twin}' of its shape to "
-                "be fed back from."
-            )
-        pairs.append(RecurrentSpec(name, twin, shape))
-    return tuple(pairs)
 
 
 def _held(ctx: ImportContext, profile: RlGymProfile, source: str) -> HeldJoints:
     """Waist and arms at zero, as stiff as the author holds them on the robot."""
     names = tuple(n for n in load_g1().joint_names if n not in profile.joint_names)
-    ctx.inferred.append(f"held joints = waist and arms at 0 rad, author's gains: {source}")
+    ctx.note(f"held joints = waist and arms at 0 rad, the author's gains: {source}")
     zeros = (0.0,) * len(names)
     return HeldJoints(names, zeros, profile.held_kps, profile.held_kds)

@@ -10,6 +10,12 @@ from typing import Any
 from downbeat.policies.errors import PolicyError
 
 
+def short(value: Any, length: int = 40) -> str:
+    """Return a value as text that fits into an error sentence."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= length else f"{text[: length - 3]}..."
+
+
 def csv_texts(text: str) -> tuple[str, ...]:
     """Split a comma-separated list."""
     return tuple(part.strip() for part in text.split(","))
@@ -27,8 +33,8 @@ def csv_numbers(text: str, where: str) -> tuple[float, ...]:
 def _number(value: Any, where: str) -> float:
     try:
         return float(value)
-    except (TypeError, ValueError):
-        raise PolicyError(f"{value!r} is not a number ({where}).") from None
+    except (TypeError, ValueError, OverflowError):
+        raise PolicyError(f"{short(value)} is not a number ({where}).") from None
 
 
 def json_value(text: str, where: str) -> Any:
@@ -40,7 +46,7 @@ def json_value(text: str, where: str) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise PolicyError(f"{text[:40]!r} is not JSON: {error} ({where}).") from None
+        raise PolicyError(f"{short(text)} is not JSON: {error} ({where}).") from None
 
 
 def finite(values: Any, where: str) -> tuple[float, ...]:
@@ -50,7 +56,7 @@ def finite(values: Any, where: str) -> tuple[float, ...]:
         PolicyError: Not a list, or an element is not a finite number.
     """
     if isinstance(values, str) or not isinstance(values, Sequence):
-        raise PolicyError(f"{values!r} is not a list of numbers ({where}).")
+        raise PolicyError(f"{short(values)} is not a list of numbers ({where}).")
     found = tuple(_number(value, where) for value in values)
     bad = [value for value in found if not math.isfinite(value)]
     if bad:
