@@ -22,7 +22,7 @@ from downbeat.policies.importers.package import (
 )
 from downbeat.policies.manifest import SkillManifest, file_sha256, load_manifest
 from downbeat.policies.toml_edit import set_files
-from downbeat.runtime.errors import DownbeatError
+from downbeat.tools.policy_inspect import print_policy
 
 
 def import_policy(
@@ -42,7 +42,7 @@ def import_policy(
     draft = read_policy(ctx)
     with staging(out, ctx.name, source_of(ctx)) as folder:
         manifest = write_skill(ctx, draft, folder, licence)
-        golden = write_golden(_open(manifest))
+        golden = write_golden(_open(manifest, path))
         set_files(
             folder / "manifest.toml",
             (*manifest.extra_files, GOLDEN_NAME),
@@ -52,15 +52,13 @@ def import_policy(
     return load_manifest(out / ctx.name / "manifest.toml")
 
 
-def _open(manifest: SkillManifest) -> NetworkSkill:
+def _open(manifest: SkillManifest, origin: Path) -> NetworkSkill:
     """Open a skill for the first time; nothing is known yet about how its network runs."""
     try:
         return NetworkSkill(manifest)
-    except DownbeatError:
-        raise
     except Exception as error:  # onnxruntime raises a dozen types of its own
-        line = " ".join(str(error).split())[:300].rstrip(".")
-        raise PolicyError(f"{manifest.source} cannot be run: {line}.") from error
+        line = " ".join(str(error).split()).replace(str(manifest.onnx_path), str(origin))
+        raise PolicyError(f"{origin} cannot be run: {line[:400].rstrip('.')}.") from error
 
 
 def import_command(
@@ -77,8 +75,6 @@ def import_command(
     if as_json:
         print(json.dumps(_summary(manifest)))
         return 0
-    from downbeat.tools.policy_inspect import print_policy
-
     print_policy(manifest, Console())
     print(f"imported: {manifest.folder}")
     print(f"certify it: downbeat policy certify {manifest.name} --skills {out} --write")

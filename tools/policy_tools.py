@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,9 +10,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from downbeat.policies.manifest import SkillManifest, load_skills
+from downbeat.control.golden import TOLERANCE, verify_golden
+from downbeat.control.network import NetworkSkill
+from downbeat.policies.manifest import SkillManifest, load_manifest, load_skills
 from downbeat.runtime.errors import one_of
 from downbeat.tools.errors import ToolError
+from downbeat.tools.policy_import import import_policy
+from downbeat.tools.policy_inspect import print_policy
 
 
 def generate(name: str, bpm: float | None, out: Path) -> int:
@@ -42,18 +47,46 @@ def certify(names: Sequence[str], folder: Path | None, write: bool) -> int:
 
 
 def inspect(names: Sequence[str], folder: Path | None) -> int:
-    """Print a table of skills, or one skill's certificate."""
-    skills = load_skills(folder)
-    for name in names:
-        if name not in skills:
-            raise ToolError(f"Skill '{name}' is unknown; skills are {one_of(skills)}.")
+    """Print a table of skills, or everything about some: names, their folders, foreign policies."""
     console = Console()
-    chosen = [skills[name] for name in (names or sorted(skills))]
-    console.print(_overview(chosen))
-    for manifest in chosen if names else ():
-        if manifest.certificate is not None:
-            console.print(_certificate(manifest))
+    if not names:
+        console.print(_overview(list(load_skills(folder).values())))
+        return 0
+    with tempfile.TemporaryDirectory() as room:
+        chosen = [_find(name, folder, Path(room) / str(i)) for i, name in enumerate(names)]
+        console.print(_overview(chosen))
+        for manifest in chosen:
+            if manifest.policy is not None:
+                print_policy(manifest, console)
+                console.print(f"golden vectors: {_golden(manifest)}", highlight=False)
+            if manifest.certificate is not None:
+                console.print(_certificate(manifest))
     return 0
+
+
+def _find(name: str, folder: Path | None, room: Path) -> SkillManifest:
+    """Return a skill by name or folder, or a foreign policy imported into `room`."""
+    path = Path(name)
+    if path.name == "manifest.toml" and path.is_file():
+        return load_manifest(path.absolute())
+    if (path / "manifest.toml").is_file():
+        return load_manifest(path.absolute() / "manifest.toml")
+    if path.exists() and (len(path.parts) > 1 or path.suffix):
+        return import_policy(path, room)
+    skills = load_skills(folder)
+    if name not in skills:
+        raise ToolError(
+            f"Skill '{name}' is unknown and there is nothing at that path; skills are "
+            f"{one_of(skills)}."
+        )
+    return skills[name]
+
+
+def _golden(manifest: SkillManifest) -> str:
+    worst = verify_golden(NetworkSkill(manifest))
+    return (
+        "the same bits" if worst == 0.0 else f"largest deviation {worst:.2g}, {TOLERANCE:g} allowed"
+    )
 
 
 def _overview(skills: Sequence[SkillManifest]) -> Table:

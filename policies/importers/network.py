@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,8 @@ from downbeat.runtime.errors import one_of
 
 MAX_BYTES = 200_000_000
 """No policy that runs at 50 Hz on a robot is larger."""
+MAX_NUMBERS = 1_000_000
+"""Of one input."""
 UNBOUNDED_OPS = frozenset({"Loop", "Scan"})
 """Their number of turns is data: such a network may never return."""
 
@@ -75,6 +78,10 @@ def read_network(path: Path, folder: Path | None = None) -> Network:
         raise PolicyError(f"{path} is not an ONNX model: {error}.") from error
     if not model.graph.output or not model.graph.node:
         raise PolicyError(f"{path} is not an ONNX model: it has no graph.")
+    named = (*model.graph.input, *model.graph.output)
+    texts = [v.name for v in named] + [t for p in model.metadata_props for t in (p.key, p.value)]
+    if not all(isinstance(text, str) for text in texts):
+        raise PolicyError(f"{path} is not an ONNX model: it has names that are not UTF-8.")
     graphs = list(_graphs(model))
     unbounded = {n.op_type for nodes, _ in graphs for n in nodes} & UNBOUNDED_OPS
     if unbounded:
@@ -87,9 +94,13 @@ def read_network(path: Path, folder: Path | None = None) -> Network:
     for name, value in inputs.items():
         if value.type.tensor_type.elem_type != onnx.TensorProto.FLOAT:
             raise PolicyError(f"Input '{name}' of {path} does not take float32; only that is fed.")
+    shapes = {name: _shape(value) for name, value in inputs.items()}
+    for name, shape in shapes.items():
+        if math.prod(shape) > MAX_NUMBERS:
+            raise PolicyError(f"Input '{name}' of {path} takes {list(shape)} numbers; too many.")
     return Network(
         path,
-        {name: _shape(value) for name, value in inputs.items()},
+        shapes,
         {v.name: _shape(v) for v in model.graph.output},
         {p.key: p.value for p in model.metadata_props},
         _external_files(path, root, [t for _, tensors in graphs for t in tensors]),

@@ -75,10 +75,10 @@ class Import:
 
 @dataclass(frozen=True)
 class Inspect:
-    """Show skills: kind, tempo range, entry and exit phases, certificate."""
+    """Show skills: kind, tempo range, phases, certificate; of policies terms, joints, motion."""
 
     names: tyro.conf.Positional[list[str]] = field(default_factory=list)
-    """Skill names; none: a table of all."""
+    """Skill names, skill folders or foreign policies; none: a table of all skills."""
     skills: Path | None = None
     """Folder of skills; omitted: the bundled ones."""
 
