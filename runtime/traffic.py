@@ -1,8 +1,8 @@
 """Simulated traffic: messages that are lost, late, doubled, out of order, frozen, broken or forged.
 
-Pure and deterministic: what happens to a message follows from the scenario, the seed and the
-message's number on its channel. `MemqHub.impair` puts an `Impairer` between publishers and
-subscribers; `Injector` makes the messages of further publishers.
+Pure and deterministic: what happens to a message follows from the plan, the seed and the message's
+number on its channel. `MemqHub.impair` puts an `Impairer` between publishers and subscribers;
+`Injector` makes the messages of further publishers.
 """
 
 from __future__ import annotations
@@ -10,122 +10,31 @@ from __future__ import annotations
 import heapq
 import math
 import random
+import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
-
-import numpy as np
+from typing import Any
 
 from downbeat.lcm_types.channels import CHANNELS
-from downbeat.runtime.bus_types import BusError
 from downbeat.runtime.codec import codec_for
-from downbeat.runtime.endpoint import channel_named
+from downbeat.runtime.traffic_edit import Damage, damaged, set_path
+from downbeat.runtime.traffic_plan import FOREIGN_EPOCH, Impairment, Injection
 
-Damage = Literal["", "flip", "truncate", "extend", "fingerprint", "noise", "empty"]
+__all__ = [
+    "FOREIGN_EPOCH",
+    "Damage",
+    "Delivery",
+    "Impairer",
+    "Impairment",
+    "Injection",
+    "Injector",
+    "damaged",
+    "set_path",
+]
+
 Delivery = tuple[int, str, bytes]
 """(utime, channel, payload)."""
-FOREIGN_EPOCH = 4_242
-MAX_RATE_HZ = 5_000.0
-
-
-@dataclass(frozen=True, slots=True)
-class Impairment:
-    """What happens to the messages of a channel for a while.
-
-    Attributes:
-        channel: Channel name.
-        from_s: Start, scenario time [s].
-        to_s: End [s].
-        drop: Share that is lost, 0..1.
-        delay_ms: Added to every message [ms].
-        jitter_ms: Further delay, uniform from 0 [ms].
-        duplicate: Share that arrives twice.
-        reorder: Share that is overtaken by its successor.
-        freeze: Only the first message of the window arrives, again and again.
-        damage: What is done to the payload.
-        damage_share: Share that is damaged.
-        set_fields: Field path -> value, e.g. {"imu_pelvis.gyro": nan}; arrays are filled.
-        clock_step_s: Added to header.utime [s].
-    """
-
-    channel: str
-    from_s: float = 0.0
-    to_s: float = math.inf
-    drop: float = 0.0
-    delay_ms: float = 0.0
-    jitter_ms: float = 0.0
-    duplicate: float = 0.0
-    reorder: float = 0.0
-    freeze: bool = False
-    damage: Damage = ""
-    damage_share: float = 1.0
-    set_fields: dict[str, Any] = field(default_factory=dict)
-    clock_step_s: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Injection:
-    """Messages of one more publisher.
-
-    Attributes:
-        channel: Channel name.
-        at_s: First message, scenario time [s].
-        to_s: Last one [s]; with a rate.
-        rate_hz: 0: a single message.
-        fields: Field path -> value; the rest keeps the type's defaults.
-        damage: What is done to the payload.
-        epoch: header.epoch; publishers differ by it.
-        stamp_s: Added to header.utime [s].
-    """
-
-    channel: str
-    at_s: float
-    to_s: float = 0.0
-    rate_hz: float = 0.0
-    fields: dict[str, Any] = field(default_factory=dict)
-    damage: Damage = ""
-    epoch: int = FOREIGN_EPOCH
-    stamp_s: float = 0.0
-
-
-def set_path(msg: Any, path: str, value: Any, where: str) -> None:
-    """Set a field of a message; a number fills an array.
-
-    Raises:
-        BusError: There is no such field.
-    """
-    *parents, last = path.split(".")
-    for name in parents:
-        msg = getattr(msg, name, None)
-    if msg is None or last not in getattr(type(msg), "__slots__", ()):
-        raise BusError(f"There is no field '{path}' ({where}).")
-    old = getattr(msg, last)
-    if isinstance(old, str | bytes) or isinstance(value, str):
-        setattr(msg, last, value)
-    elif isinstance(old, np.ndarray):
-        setattr(msg, last, np.full_like(old, value) if np.isscalar(value) else np.asarray(value))
-    elif isinstance(old, list | tuple) and not isinstance(value, list | tuple):
-        setattr(msg, last, [value] * len(old))
-    else:
-        setattr(msg, last, value)
-
-
-def damaged(payload: bytes, damage: Damage, rng: random.Random) -> bytes:
-    """Return a payload as a bad network or a bad program would deliver it."""
-    if damage == "flip":
-        data = bytearray(payload)
-        for _ in range(3):
-            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-        return bytes(data)
-    if damage == "truncate":
-        return payload[: rng.randrange(len(payload))]
-    if damage == "extend":
-        return payload + rng.randbytes(rng.randrange(1, 64))
-    if damage == "fingerprint":
-        return rng.randbytes(8) + payload[8:]
-    if damage == "noise":
-        return rng.randbytes(rng.randrange(1, 2000))
-    return b"" if damage == "empty" else payload
+EVENT_PERIOD_S = 0.02
+"""How far apart the messages of an event channel are taken to be, for overtaking."""
 
 
 class Impairer:
@@ -140,10 +49,10 @@ class Impairer:
             seed: Of everything random.
 
         Raises:
-            BusError: A channel is not in the table.
+            BusError: A channel is not in the table, or a value is impossible.
         """
         for one in impairments:
-            channel_named(one.channel)
+            one.check()
         self._impairments = tuple(impairments)
         self._start = start_utime
         self._seed = seed
@@ -155,37 +64,49 @@ class Impairer:
     def feed(self, utime: int, channel: str, payload: bytes) -> None:
         """Take one published message."""
         count = self._counts[channel] = self._counts.get(channel, 0) + 1
-        now_us = utime - self._start
+        now_s = (utime - self._start) * 1e-6
         due, copies = float(utime), 1
         for index, one in enumerate(self._impairments):
-            if one.channel != channel or not one.from_s * 1e6 <= now_us < one.to_s * 1e6:
+            if one.channel != channel or not one.from_s <= now_s + 1e-9 < one.to_s:
                 continue
             rng = random.Random(f"{self._seed}/{index}/{channel}/{count}")
             if rng.random() < one.drop:
                 return
-            if one.freeze:
-                payload = self._frozen.setdefault(index, payload)
-            payload = self._changed(one, payload, rng)
+            payload = self._changed(index, payload, rng)
             due += 1e3 * (one.delay_ms + one.jitter_ms * rng.random())
             if rng.random() < one.reorder:
-                rate = CHANNELS[channel].rate_hz or 50.0
-                due += 1.5e6 / rate
+                rate_hz = CHANNELS[channel].rate_hz
+                due += 1.5e6 * (1.0 / rate_hz if rate_hz else EVENT_PERIOD_S)
+            if one.hold:
+                due = max(due, self._start + one.to_s * 1e6)
             copies += rng.random() < one.duplicate
         for _ in range(copies):
             self._number += 1
             heapq.heappush(self._waiting, (math.ceil(due), self._number, channel, payload))
 
-    def _changed(self, one: Impairment, payload: bytes, rng: random.Random) -> bytes:
-        if one.set_fields or one.clock_step_s:
-            codec = codec_for(CHANNELS[one.channel].type)
-            msg = CHANNELS[one.channel].type.decode(payload)  # lcm-gen's own: checks nothing
-            for path, value in one.set_fields.items():
-                set_path(msg, path, value, f"{one.channel}: set_fields")
-            msg.header.utime += round(one.clock_step_s * 1e6)
-            payload = codec.encode(msg)
+    def _changed(self, index: int, payload: bytes, rng: random.Random) -> bytes:
+        """Return what one impairment makes of a payload."""
+        one = self._impairments[index]
+        if one.freeze or one.freeze_content:
+            first = self._frozen.setdefault(index, payload)
+            payload = first if one.freeze else _under_header_of(one.channel, first, payload)
+        if one.clock_step_s or (one.set_fields and rng.random() < one.set_share):
+            payload = self._edited(one, payload)
         if one.damage and rng.random() < one.damage_share:
             payload = damaged(payload, one.damage, rng)
         return payload
+
+    @staticmethod
+    def _edited(one: Impairment, payload: bytes) -> bytes:
+        """Return a message with other fields, or as it is if an earlier impairment broke it."""
+        try:
+            msg = CHANNELS[one.channel].type.decode(payload)  # lcm-gen's own: checks nothing
+        except (ValueError, struct.error):
+            return payload
+        for path, value in one.set_fields.items():
+            set_path(msg, path, value, f"{one.channel}: set_fields")
+        msg.header.utime += round(one.clock_step_s * 1e6)
+        return codec_for(CHANNELS[one.channel].type).encode(msg)
 
     def take(self, utime: int) -> Iterator[tuple[str, bytes]]:
         """Return what has arrived by now, in order of arrival."""
@@ -193,31 +114,70 @@ class Impairer:
             _, _, channel, payload = heapq.heappop(self._waiting)
             yield channel, payload
 
+    @property
+    def next_utime(self) -> int | None:
+        """When the next message arrives [us]; None if none is on its way."""
+        return self._waiting[0][0] if self._waiting else None
+
+
+def _under_header_of(channel: str, content: bytes, payload: bytes) -> bytes:
+    """Return one message's content under the header of another."""
+    kind = CHANNELS[channel].type
+    msg = kind.decode(content)
+    msg.header = kind.decode(payload).header
+    return codec_for(kind).encode(msg)
+
 
 class Injector:
-    """Makes the messages of injections, in order of time."""
+    """Makes the messages of injections, in order of time.
 
-    def __init__(self, injections: Sequence[Injection], start_utime: int, seed: int = 0) -> None:
+    Injections of the same epoch on the same channel are one publisher: they share one sequence.
+    """
+
+    def __init__(
+        self,
+        injections: Sequence[Injection],
+        start_utime: int,
+        seed: int = 0,
+        epoch_offset: int = 0,
+    ) -> None:
         """Prepare all messages.
+
+        Args:
+            injections: What is published.
+            start_utime: Scenario time 0 [us].
+            seed: Of everything random.
+            epoch_offset: Added to every epoch: on a running bus, each run is a new publisher.
 
         Raises:
             BusError: A channel, a field or a rate is not possible.
         """
-        self._messages = sorted(
-            (
-                message
-                for index, one in enumerate(injections)
-                for message in _messages(one, index, start_utime, seed)
-            ),
-            key=lambda message: message[0],
-        )
+        planned: list[tuple[int, int, int]] = []
+        for index, one in enumerate(injections):
+            one.check()
+            planned += [(_utime(one, start_utime, n), index, n) for n in range(one.number)]
+        planned.sort()
+        rngs = [random.Random(f"{seed}/inject/{index}") for index in range(len(injections))]
+        seqs: dict[tuple[str, int], int] = {}
+        self._messages: list[Delivery] = []
         self._next = 0
+        for utime, index, number in planned:
+            one = injections[index]
+            publisher = (one.channel, one.epoch)
+            seqs[publisher] = seq = seqs.get(publisher, -1) + 1
+            msg = _message(one, utime, number, start_utime, rngs[index])
+            msg.header.epoch = one.epoch + epoch_offset
+            if "header.seq" not in one.fields:
+                msg.header.seq = seq
+            payload = codec_for(CHANNELS[one.channel].type).encode(msg)
+            payload = damaged(payload, one.damage, rngs[index])
+            self._messages.append((utime, one.channel, payload))
 
     def take(self, utime: int) -> Iterator[Delivery]:
         """Return what is due by now."""
         while self._next < len(self._messages) and self._messages[self._next][0] <= utime:
-            yield self._messages[self._next]
             self._next += 1
+            yield self._messages[self._next - 1]
 
     @property
     def next_utime(self) -> int | None:
@@ -227,26 +187,22 @@ class Injector:
         return self._messages[self._next][0]
 
 
-def _messages(one: Injection, index: int, start_utime: int, seed: int) -> Iterator[Delivery]:
-    row = channel_named(one.channel)
-    where = f"{one.channel}: fields"
-    if not 0.0 <= one.rate_hz <= MAX_RATE_HZ:
-        raise BusError(
-            f"A rate of {one.rate_hz:g} Hz is not possible; valid are 0 to {MAX_RATE_HZ:g} "
-            f"({one.channel}: rate_hz)."
-        )
-    codec = codec_for(row.type)
-    rng = random.Random(f"{seed}/inject/{index}")
-    count = 1 if not one.rate_hz else max(1, round((one.to_s - one.at_s) * one.rate_hz))
-    for number in range(count):
-        utime = start_utime + round(1e6 * (one.at_s + (number / one.rate_hz if number else 0.0)))
-        msg = row.type()
-        msg.header.utime = utime + round(one.stamp_s * 1e6)
-        msg.header.seq = number
-        msg.header.epoch = one.epoch
-        for path, value in one.fields.items():
-            set_path(msg, path, _timed(path, value, start_utime), where)
-        yield utime, one.channel, damaged(codec.encode(msg), one.damage, rng)
+def _utime(one: Injection, start_utime: int, number: int) -> int:
+    return start_utime + round(1e6 * (one.at_s + (number / one.rate_hz if number else 0.0)))
+
+
+def _message(one: Injection, utime: int, number: int, start_utime: int, rng: random.Random) -> Any:
+    """Return the number-th message of an injection."""
+    msg = CHANNELS[one.channel].type()
+    msg.header.utime = utime + round(one.stamp_s * 1e6)
+    values = dict(one.fields)
+    for path, step in one.count.items():
+        base = values.get(path, 0)
+        values[path] = type(base)(base + step * number)
+    values |= {path: rng.uniform(low, high) for path, (low, high) in one.vary.items()}
+    for path, value in values.items():
+        set_path(msg, path, _timed(path, value, start_utime), f"{one.channel}: fields")
+    return msg
 
 
 def _timed(path: str, value: Any, start_utime: int) -> Any:
