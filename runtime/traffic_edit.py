@@ -59,19 +59,28 @@ def _known(msg: Any, name: str, path: str, where: str) -> str:
 def _converted(old: Any, value: Any) -> Any:
     """Return a value in the shape of the field's old one."""
     if isinstance(old, bytes):
-        return bytes(int(octet) for octet in _elements(old, value))
+        return bytes(_number(0, octet) for octet in _elements(old, value))
     if isinstance(old, str):
         if not isinstance(value, str):
             raise TypeError("it is text")
         return value
     if isinstance(old, np.ndarray | list | tuple):
         values = _elements(old, value)
-        return np.asarray(values, old.dtype) if isinstance(old, np.ndarray) else values
-    if not isinstance(value, int | float):
-        raise TypeError("it is a number")
-    if isinstance(old, int) and not isinstance(old, bool):
-        return int(value)
-    return float(value)
+        if isinstance(old, np.ndarray):
+            return np.asarray([_number(old.dtype.type(0).item(), v) for v in values], old.dtype)
+        return [_number(first, v) for first, v in zip(list(old) or values, values, strict=True)]
+    return _number(old, value)
+
+
+def _number(old: Any, value: Any) -> Any:
+    """Return a value as the field's kind of number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError("it holds numbers")
+    if not isinstance(old, int):
+        return float(value)
+    if value != int(value):
+        raise ValueError("it holds integers")
+    return int(value)
 
 
 def _elements(old: Any, value: Any) -> list[Any]:
