@@ -1,4 +1,4 @@
-"""`downbeat policy`: generate, import, certify, inspect skills."""
+"""`downbeat policy`: generate, import, convert, certify, inspect skills."""
 
 from __future__ import annotations
 
@@ -74,6 +74,24 @@ class Import:
 
 
 @dataclass(frozen=True)
+class Convert:
+    """Turn a TorchScript policy into ONNX with explicit state, checked against the original."""
+
+    path: tyro.conf.Positional[Path]
+    """TorchScript file (.pt); needs PyTorch (extra `models`)."""
+    out: Path
+    """ONNX file to write."""
+    width: int = 0
+    """Width of the observation; 0: the only one that runs."""
+
+    def run(self) -> int:
+        """Convert, compare, write."""
+        from downbeat.tools.policy_convert import convert_command
+
+        return convert_command(self.path, self.out, self.width)
+
+
+@dataclass(frozen=True)
 class Inspect:
     """Show skills: kind, tempo range, phases, certificate; of policies terms, joints, motion."""
 
@@ -91,11 +109,12 @@ class Inspect:
 
 @dataclass(frozen=True)
 class Policy:
-    """Skills: `generate`, `import`, `certify`, `inspect`."""
+    """Skills: `generate`, `import`, `convert`, `certify`, `inspect`."""
 
     what: (
         Annotated[Generate, tyro.conf.subcommand("generate")]
         | Annotated[Import, tyro.conf.subcommand("import")]
+        | Annotated[Convert, tyro.conf.subcommand("convert")]
         | Annotated[Certify, tyro.conf.subcommand("certify")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
     )
