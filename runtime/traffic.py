@@ -17,7 +17,7 @@ from typing import Any
 from downbeat.lcm_types.channels import CHANNELS
 from downbeat.runtime.codec import codec_for
 from downbeat.runtime.traffic_edit import Damage, damaged, set_path
-from downbeat.runtime.traffic_plan import FOREIGN_EPOCH, Impairment, Injection
+from downbeat.runtime.traffic_plan import FOREIGN_EPOCH, Impairment, Injection, scenario_time
 
 __all__ = [
     "FOREIGN_EPOCH",
@@ -201,12 +201,5 @@ def _message(one: Injection, utime: int, number: int, start_utime: int, rng: ran
         values[path] = type(base)(base + step * number)
     values |= {path: rng.uniform(low, high) for path, (low, high) in one.vary.items()}
     for path, value in values.items():
-        set_path(msg, path, _timed(path, value, start_utime), f"{one.channel}: fields")
+        set_path(msg, path, scenario_time(path, value, start_utime), f"{one.channel}: fields")
     return msg
-
-
-def _timed(path: str, value: Any, start_utime: int) -> Any:
-    """Times of a scenario are seconds from its start: `start_utime = 3.5` means so many us."""
-    if path.endswith("_utime") and isinstance(value, int | float) and value:
-        return start_utime + round(float(value) * 1e6)
-    return value

@@ -125,17 +125,25 @@ class Injection:
         _check_between("messages", self.number, 1, MAX_MESSAGES)
         msg = row.type()
         for path, value in self.fields.items():
-            set_path(msg, path, value, "fields")
+            set_path(msg, path, scenario_time(path, value, 0), "fields")
         for path, step in self.count.items():
             base = self.fields.get(path, 0)
             if not isinstance(base, int | float):
                 raise BusError(f"count counts numbers, '{path}' is {base!r} in fields.")
-            set_path(msg, path, type(base)(base + step), "count")
+            value = scenario_time(path, type(base)(base + step), 0)
+            set_path(msg, path, value, "count")
         for path, (low, high) in self.vary.items():
             _check_between(f"vary.{path}", low, -math.inf, high)
-            set_path(msg, path, low, "vary")
+            set_path(msg, path, scenario_time(path, low, 0), "vary")
 
 
 def _check_between(key: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
         raise BusError(f"{key} is {value:g}; valid are {low:g} to {high:g}.")
+
+
+def scenario_time(path: str, value: Any, start_utime: int) -> Any:
+    """Return a field's value; `start_utime = 3.5` of a scenario is 3.5 s from its start, in us."""
+    if path.endswith("_utime") and isinstance(value, int | float) and value:
+        return start_utime + round(float(value) * 1e6)
+    return value
