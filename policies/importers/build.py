@@ -10,6 +10,7 @@ from downbeat.catalog.robot import load_g1
 from downbeat.policies.errors import PolicyError
 from downbeat.policies.importers.context import ImportContext
 from downbeat.policies.importers.network import Network
+from downbeat.policies.importers.profiles import HELD_DAMPING, HELD_STIFFNESS, LEGS
 from downbeat.policies.importers.values import finite, spread
 from downbeat.policies.spec import (
     HeldJoints,
@@ -159,22 +160,26 @@ def action_output(network: Network, num_joints: int) -> str:
 
 
 def held_joints(ctx: ImportContext, moved: Sequence[str]) -> HeldJoints:
-    """Hold what the network leaves alone: our default pose with our gains."""
+    """Hold what the network leaves alone, as stiff as on a robot that lacks these joints."""
     robot = load_g1()
     names = tuple(name for name in robot.joint_names if name not in moved)
     if not names:
         return HeldJoints()
     index = [robot.joint_index(name) for name in names]
-    ctx.note(
-        f"held joints = {len(names)} ({names[0]} ... {names[-1]}): catalog/g1_facts.json, stand "
-        "pose and gains"
+    pose = [
+        float(robot.default_joint_pos[i]) if robot.joint_names[i] in LEGS else 0.0 for i in index
+    ]
+    values = {
+        "held.joint_pos": (pose, "zero, where models of fewer joints have them fixed"),
+        "held.joint_stiffness": ([HELD_STIFFNESS[i] for i in index], "unitree_rl_gym's hardware"),
+        "held.joint_damping": ([HELD_DAMPING[i] for i in index], "unitree_rl_gym's hardware"),
+    }
+    ctx.note(f"held joints = {', '.join(names)}: the network does not move them")
+    pos, stiffness, damping = (
+        spread(ctx.infer(key, value, source), len(names), f"--set {key}")
+        for key, (value, source) in values.items()
     )
-    return HeldJoints(
-        names,
-        tuple(float(robot.default_joint_pos[i]) for i in index),
-        tuple(float(robot.joint_stiffness[i]) for i in index),
-        tuple(float(robot.joint_damping[i]) for i in index),
-    )
+    return HeldJoints(names, pos, stiffness, damping)
 
 
 def terms_from(

@@ -6,11 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
-from downbeat.catalog.robot import load_g1
 from downbeat.policies.errors import PolicyError
 from downbeat.policies.importers.build import (
     check_against_network,
     command_ranges,
+    held_joints,
     joints,
     recurrent_pairs,
 )
@@ -21,7 +21,6 @@ from downbeat.policies.importers.safe_yaml import read_yaml
 from downbeat.policies.importers.values import finite
 from downbeat.policies.spec import (
     GaitSpec,
-    HeldJoints,
     InputSpec,
     PolicySpec,
     TermSpec,
@@ -94,7 +93,7 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
         action_offset=moved.offset,
         joint_stiffness=moved.stiffness,
         joint_damping=moved.damping,
-        held=_held(ctx, profile, source),
+        held=held_joints(ctx, moved.names),
         recurrent=recurrent_pairs(network, (obs_input,), action),
         gait=GaitSpec(period, start=TICK_S / period),
     )
@@ -128,11 +127,3 @@ def _numbers(
         values[key] = finite([values[key]], f"{config}:{key}")[0]
     ctx.note(f"gains, defaults, scales = the author's: {CONFIG_NAME} beside the network")
     return values
-
-
-def _held(ctx: ImportContext, profile: RlGymProfile, source: str) -> HeldJoints:
-    """Waist and arms at zero, as stiff as the author holds them on the robot."""
-    names = tuple(n for n in load_g1().joint_names if n not in profile.joint_names)
-    ctx.note(f"held joints = waist and arms at 0 rad, the author's gains: {source}")
-    zeros = (0.0,) * len(names)
-    return HeldJoints(names, zeros, profile.held_kps, profile.held_kds)
