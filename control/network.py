@@ -38,7 +38,7 @@ class NetworkSkill:
             raise ControlError(f"Skill '{manifest.name}' has no [policy] table.")
         self.manifest = manifest
         self.spec: PolicySpec = manifest.policy
-        self._session = open_session(manifest.onnx_path)
+        self.session = open_session(manifest.onnx_path)
         spec, robot = self.spec, load_g1()
         self._joints = np.array([robot.joint_index(name) for name in spec.joint_names])  # (n,)
         self._default = np.asarray(spec.default_joint_pos, np.float32)  # (n,)
@@ -65,8 +65,8 @@ class NetworkSkill:
 
     def _check_interface(self) -> None:
         spec, path = self.spec, self.manifest.onnx_path
-        inputs = {node.name: node.shape for node in self._session.get_inputs()}
-        outputs = {node.name: node.shape for node in self._session.get_outputs()}
+        inputs = {node.name: node.shape for node in self.session.get_inputs()}
+        outputs = {node.name: node.shape for node in self.session.get_outputs()}
         wanted = {one.name for one in spec.inputs} | {r.input for r in spec.recurrent}
         if spec.time_step_input:
             wanted.add(spec.time_step_input)
@@ -125,7 +125,7 @@ class NetworkSkill:
             feeds[recurrent.input] = memory.recurrent[recurrent.input]
         if spec.time_step_input:
             feeds[spec.time_step_input] = self._time_step(phase_s)
-        results = self._session.run(self._outputs, feeds)
+        results = self.session.run(self._outputs, feeds)
         action: F32 = results[0].reshape(-1)  # (n,)
         for recurrent, value in zip(spec.recurrent, results[1:], strict=True):
             memory.recurrent[recurrent.input] = value

@@ -25,13 +25,13 @@ class OnnxSkill:
     def __init__(self, manifest: SkillManifest) -> None:
         check_terms(manifest.observation_names, f"{manifest.onnx_path}:observation_names")
         self.manifest = manifest
-        self._session = open_session(manifest.onnx_path)
+        self.session = open_session(manifest.onnx_path)
         robot = load_g1()
         self._default = np.asarray(robot.default_joint_pos, np.float32)  # (29,)
         self._scale = np.asarray(robot.action_scale, np.float32)  # (29,)
         self._stiffness = np.asarray(robot.joint_stiffness, np.float32)  # (29,)
         self._damping = np.asarray(robot.joint_damping, np.float32)  # (29,)
-        inputs = {node.name: node.shape for node in self._session.get_inputs()}
+        inputs = {node.name: node.shape for node in self.session.get_inputs()}
         self._takes_command = "command" in inputs
         self._ticks_per_s = manifest.ticks / manifest.duration_s
         self._check_interface(inputs)
@@ -40,7 +40,7 @@ class OnnxSkill:
             self.act(np.zeros(width, np.float32), 0.0, np.zeros(3, np.float32))
 
     def _check_interface(self, inputs: Mapping[str, Any]) -> None:
-        outputs = {node.name for node in self._session.get_outputs()}
+        outputs = {node.name for node in self.session.get_outputs()}
         missing = ({"obs", "time_step"} - set(inputs)) | ({"actions"} - outputs)
         if missing:
             raise ControlError(
@@ -74,7 +74,7 @@ class OnnxSkill:
         }
         if self._takes_command:
             feeds["command"] = command[None, :]
-        actions: F32 = self._session.run(["actions"], feeds)[0][0]  # (29,)
+        actions: F32 = self.session.run(["actions"], feeds)[0][0]  # (29,)
         target = self._default + self._scale * actions
         return JointTargets(target, self._stiffness, self._damping)
 

@@ -50,7 +50,7 @@ class BlockResult:
         end_utime: Last one [us].
         lateness_us: Wake-up after the deadline, multiples of 20 ms of the time base [us].
         compute_us: control: the whole tick, from wake-up to sleep; network: its run alone [us].
-        policies: How many policies played; 2 during a cross-fade, 0 when none.
+        network_us: Time inside ONNX Runtime in that very tick [us].
         missed: Deadlines given up.
         cpu_s: Processor time of the whole process in the block [s].
         memory_kb: Resident memory at the block's end [KiB].
@@ -62,27 +62,54 @@ class BlockResult:
     end_utime: int
     lateness_us: list[float]
     compute_us: list[float]
-    policies: list[int]
+    network_us: list[float]
     missed: int
     cpu_s: float
     memory_kb: int
     faults: int = 0
 
 
-class TickNotes:
-    """Stands between control and its journal; notes what each tick played."""
+class NetworkMeter:
+    """Times the networks of a library where they run, inside control's tick."""
 
-    def __init__(self, journal: ControlJournal) -> None:
+    def __init__(self, library: SkillLibrary) -> None:
+        self.spent_ns = 0
+        for name in library.names:
+            skill: Any = library[name]
+            skill.session = _MeteredSession(skill.session, self)
+
+    def take_us(self) -> float:
+        """Return what was spent since the last call [us]."""
+        spent, self.spent_ns = self.spent_ns, 0
+        return spent * 1e-3
+
+
+class _MeteredSession:
+    def __init__(self, session: Any, meter: NetworkMeter) -> None:
+        self._session = session
+        self._meter = meter
+
+    def run(self, outputs: Any, feeds: Any) -> Any:
+        before = time.perf_counter_ns()
+        result = self._session.run(outputs, feeds)
+        self._meter.spent_ns += time.perf_counter_ns() - before
+        return result
+
+
+class TickNotes:
+    """Stands between control and its journal; notes what each tick spent in networks."""
+
+    def __init__(self, journal: ControlJournal, meter: NetworkMeter) -> None:
         self._journal = journal
-        self.policies: list[int] = []
+        self._meter = meter
+        self.network_us: list[float] = []
         self.faults = 0
 
     def record(self, inputs: TickInput, output: TickOutput) -> None:
         """Write the tick's record as in a show, and note."""
         self._journal.record(inputs, output)
-        status = output.status
-        self.policies.append(bool(status.skill) + bool(status.previous_skill))
-        self.faults += bool(status.fault)
+        self.network_us.append(self._meter.take_us())
+        self.faults += bool(output.status.fault)
 
 
 class NetworkNode:
@@ -116,12 +143,12 @@ class NetworkNode:
 class WarmStage:
     """Control as in a show but on the bus inside the process, playing the skill all the time."""
 
-    def __init__(self, show: Show, library: SkillLibrary, skill: str) -> None:
+    def __init__(self, show: Show, library: SkillLibrary, skill: str, meter: NetworkMeter) -> None:
         self._clock = SimClock()
         hub = MemqHub()
         core = ControlCore(library)
         self._journal = ControlJournal(show.path(JOURNAL_NAME), show, core)
-        self.notes = TickNotes(self._journal)
+        self.notes = TickNotes(self._journal, meter)
         self._sim = hub.endpoint("sim", self._clock)
         self._conductor = hub.endpoint("conductor", self._clock)
         bus = hub.endpoint("control", self._clock)
@@ -134,7 +161,7 @@ class WarmStage:
         self._conductor.publish("SKILL_REQUEST", msg)
         for _ in range(WARM_SKIPPED_TICKS):
             self._tick()
-        self.notes.policies.clear()
+        self.notes.network_us.clear()
 
     def _tick(self) -> float:
         for _ in range(TICK_US // STATE_PERIOD_US):
@@ -168,6 +195,7 @@ class Worker:
         self._clock: WallClock = settings.clock
         self._show = Show(ShowConfig(audio="", tracks="", index=""), folder)
         self._library = SkillLibrary.load()
+        self._meter = NetworkMeter(self._library)
         self._network = load_skills()[settings.skill].onnx_path
         self.granted: RealTimeReport | None = None
 
@@ -180,7 +208,7 @@ class Worker:
         bus = open_udpm(self._settings.url, self._clock, "control")
         core = ControlCore(self._library)
         journal = ControlJournal(self._show.path(JOURNAL_NAME), self._show, core)
-        notes = TickNotes(journal)
+        notes = TickNotes(journal, self._meter)
         keeper = RateKeeper(self._clock, TICK_US)
         node = make_control(self._show, bus, notes.record, keeper.timing, core)
         start, cpu_s = self._begin()
@@ -202,7 +230,7 @@ class Worker:
 
     def _run_warm(self, seconds: float) -> BlockResult:
         """Step control without sleep on simulated time: what the code costs with warm caches."""
-        stage = WarmStage(self._show, self._library, self._settings.skill)
+        stage = WarmStage(self._show, self._library, self._settings.skill, self._meter)
         start, cpu_s = self._begin()
         keeper = RateKeeper(self._clock, TICK_US)
         compute_us = stage.run(max(2, round(seconds * 1e6) // TICK_US))
@@ -235,7 +263,7 @@ class Worker:
             end_utime=self._clock.utime(),
             lateness_us=[float(value) for value in keeper.lateness.samples()[:ticks]],
             compute_us=compute_us,
-            policies=[1] * ticks if notes is None else notes.policies,
+            network_us=[0.0] * ticks if notes is None else notes.network_us[:ticks],
             missed=keeper.missed,
             cpu_s=time.process_time() - cpu_s,
             memory_kb=own_usage().memory_kb,
