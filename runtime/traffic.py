@@ -57,6 +57,8 @@ class Impairer:
         self._start = start_utime
         self._seed = seed
         self._counts: dict[str, int] = {}
+        self.touched = [0] * len(self._impairments)
+        """How many messages each impairment has had to do with."""
         self._frozen: dict[int, bytes] = {}
         self._waiting: list[tuple[int, int, str, bytes]] = []
         self._number = 0
@@ -69,6 +71,7 @@ class Impairer:
         for index, one in enumerate(self._impairments):
             if one.channel != channel or not one.from_s <= now_s + 1e-9 < one.to_s:
                 continue
+            self.touched[index] += 1
             rng = random.Random(f"{self._seed}/{index}/{channel}/{count}")
             if rng.random() < one.drop:
                 return

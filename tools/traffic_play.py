@@ -88,7 +88,7 @@ def run_scenario(scenario: Scenario, library: SkillLibrary) -> Outcome:
         )
     outcome = _play(scenario, library)
     outcome.problems += judge_always(outcome)
-    for one in scenario.expect:
+    for one in scenario.expect if outcome.ticks else ():
         outcome.problems += judge(one, outcome)
     if scenario.commands_unchanged:
         calm = _play(replace(scenario, impair=(), inject=()), library)
@@ -101,8 +101,9 @@ def _play(scenario: Scenario, library: SkillLibrary) -> Outcome:
     clock = SimClock(SIM_EPOCH_UTIME)
     start = clock.utime()
     hub = MemqHub(scenario.seed)
+    impairer = Impairer(scenario.impair, start, scenario.seed)
     if scenario.impair:
-        hub.impair(Impairer(scenario.impair, start, scenario.seed))
+        hub.impair(impairer)
     outcome = Outcome()
 
     def journal(inputs: TickInput, output: TickOutput) -> None:
@@ -120,10 +121,20 @@ def _play(scenario: Scenario, library: SkillLibrary) -> Outcome:
     pusher = _Pusher(sim, scenario.push, start)
     traffic = _InjectorNode(hub, Injector(injections, start, scenario.seed))
     scheduler = Lockstep(clock, (traffic, pusher, sim, control))
-    scheduler.run_until(start + round(scenario.seconds * 1e6))
+    try:
+        scheduler.run_until(start + round(scenario.seconds * 1e6))
+    except Exception as error:  # a process that dies is the worst that can happen: report it
+        time_s = (clock.utime() - start) * 1e-6
+        kind = type(error).__name__
+        outcome.problems.append(f"A process died at {time_s:.2f} s: {kind}: {error}")
     scheduler.close()
     counters = sim_bus.counters
     foreign = counters.foreign_on("G1_LOW_CMD")
+    outcome.problems += [
+        f"impair[{index}] never met a message."
+        for index, count in enumerate(impairer.touched)
+        if not count and not outcome.problems
+    ]
     outcome.refused = counters.rejected + foreign + sim.plant.counters.refused
     return outcome
 
