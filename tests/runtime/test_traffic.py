@@ -7,12 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from downbeat.lcm_types import g1_low_state_t, skill_request_t
+from downbeat.lcm_types import audio_chunk_t, g1_low_state_t, skill_request_t
+from downbeat.lcm_types.channels import CHANNELS
 from downbeat.runtime.bus import MemqHub
 from downbeat.runtime.bus_types import BusError
 from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock
 from downbeat.runtime.codec import CodecError, codec_for
-from downbeat.runtime.traffic import Impairer, Impairment, Injection, Injector, damaged
+from downbeat.runtime.traffic import (
+    Impairer,
+    Impairment,
+    Injection,
+    Injector,
+    damaged,
+    set_path,
+)
 
 START = SIM_EPOCH_UTIME
 CHANNEL = "G1_LOW_STATE"
@@ -166,3 +174,199 @@ def test_delayed_messages_arrive_when_the_clock_gets_there():
     assert receiver.pump() == 0
     clock.advance_to(START + 50_000)
     assert receiver.pump() == 1
+
+
+# ---------------------------------------------------------------------------- any plan
+
+
+shares = st.floats(0, 1)
+windows = st.tuples(st.floats(0, 0.3), st.floats(0, 0.3)).map(lambda w: (w[0], w[0] + w[1]))
+impairments = st.builds(
+    lambda window, **what: Impairment(CHANNEL, *window, **what),
+    windows,
+    drop=shares,
+    delay_ms=st.floats(0, 50),
+    jitter_ms=st.floats(0, 50),
+    duplicate=shares,
+    reorder=shares,
+    hold=st.booleans(),
+    freeze=st.booleans(),
+    damage=st.sampled_from(["", "flip", "truncate", "extend", "fingerprint", "noise", "empty"]),
+    damage_share=shares,
+    set_fields=st.sampled_from([{}, {"joint_pos": math.nan}, {"imu_pelvis.gyro[2]": 3.0}]),
+    set_share=shares,
+    clock_step_s=st.sampled_from([0.0, -3600.0, 3600.0]),
+)
+
+
+def states(count=100):
+    codec, msg = codec_for(g1_low_state_t), g1_low_state_t()
+    for number in range(count):
+        msg.header.utime, msg.header.seq = START + number * PERIOD_US, number
+        yield msg.header.utime, codec.encode(msg)
+
+
+def played(plan, seed):
+    impairer = Impairer(plan, START, seed)
+    arrived = []
+    for utime, payload in states():
+        impairer.feed(utime, CHANNEL, payload)
+        arrived += [(utime, payload) for _, payload in impairer.take(utime)]
+    while impairer.next_utime is not None:
+        utime = impairer.next_utime
+        arrived += [(utime, payload) for _, payload in impairer.take(utime)]
+    return arrived
+
+
+@given(st.lists(impairments, max_size=3), st.integers(0, 1000))
+@settings(max_examples=40)
+def test_any_plan_is_repeatable_and_leaves_the_rest_alone(plan, seed):
+    arrived = played(plan, seed)
+    assert arrived == played(plan, seed)
+    assert [utime for utime, _ in arrived] == sorted(utime for utime, _ in arrived)
+    assert len(arrived) <= 100 * 2 ** len(plan)
+    there = set(arrived)
+    for utime, payload in states():
+        time_s = (utime - START) * 1e-6
+        if all(time_s < one.from_s - 1e-6 or time_s > one.to_s for one in plan):
+            assert (utime, payload) in there
+
+
+@given(st.lists(impairments, min_size=1, max_size=3), st.integers(0, 1000))
+@settings(max_examples=20)
+def test_a_bus_survives_any_plan(plan, seed):
+    clock, hub = SimClock(START), MemqHub()
+    hub.impair(Impairer(plan, START, seed))
+    receiver = hub.endpoint("control", clock)
+    receiver.subscribe(CHANNEL)
+    for utime, payload in states():
+        clock.advance_to(utime)
+        hub.deliver(utime, CHANNEL, payload)
+        receiver.pump()
+    for received in receiver.take(CHANNEL):
+        assert all(map(math.isfinite, received.msg.joint_pos))
+
+
+injections = st.builds(
+    lambda at_s, length_s, **what: Injection("SKILL_REQUEST", at_s, at_s + length_s, **what),
+    st.floats(0, 1),
+    st.floats(0, 1),
+    rate_hz=st.sampled_from([0.0, 1.0, 50.0, 333.0]),
+    epoch=st.integers(1, 3),
+    fields=st.just({"skill": "kpop", "request_id": 7}),
+    count=st.sampled_from([{}, {"request_id": 1}]),
+    vary=st.sampled_from([{}, {"start_phase_s": [0.0, 0.5]}]),
+)
+
+
+@given(st.lists(injections, max_size=4), st.integers(0, 1000))
+def test_any_injections_come_in_order_with_one_sequence_per_publisher(plan, seed):
+    made = list(Injector(plan, START, seed).take(START + 10**8))
+    assert made == list(Injector(plan, START, seed).take(START + 10**8))
+    assert len(made) == sum(one.number for one in plan)
+    assert [utime for utime, _, _ in made] == sorted(utime for utime, _, _ in made)
+    seqs = {}
+    for utime, _, payload in made:
+        header = skill_request_t.decode(payload).header
+        assert header.utime == utime
+        seqs.setdefault(header.epoch, []).append(header.seq)
+    assert all(found == list(range(len(found))) for found in seqs.values())
+
+
+# ---------------------------------------------------------------------------- details
+
+
+def test_held_messages_arrive_together_when_the_window_ends():
+    arrived = stream((Impairment(CHANNEL, 0.1, 0.2, hold=True),))
+    assert [n for _, n in arrived] == list(range(200))
+    burst = [n for utime, n in arrived if utime == START + 200_000]
+    assert burst == list(range(50, 101))
+
+
+def test_frozen_content_keeps_its_live_header():
+    plan = (Impairment(CHANNEL, 0.1, freeze_content=True),)
+    msgs = [g1_low_state_t.decode(payload) for _, payload in played(plan, 0)]
+    assert [m.header.seq for m in msgs] == list(range(100))
+    codec, msg = codec_for(g1_low_state_t), g1_low_state_t()
+    impairer = Impairer((Impairment(CHANNEL, freeze_content=True),), START)
+    for number, value in enumerate((0.1, 0.2)):
+        msg.header.seq, msg.joint_pos = number, [value] * 29
+        impairer.feed(START, CHANNEL, codec.encode(msg))
+    first, second = (g1_low_state_t.decode(payload) for _, payload in impairer.take(START))
+    assert list(second.joint_pos) == list(first.joint_pos)
+    assert (first.header.seq, second.header.seq) == (0, 1)
+
+
+def test_fields_are_set_in_their_share_of_messages_only():
+    plan = (Impairment(CHANNEL, set_fields={"joint_pos[3]": 1.5}, set_share=0.3),)
+    msgs = [g1_low_state_t.decode(payload) for _, payload in played(plan, 0)]
+    assert 15 < sum(m.joint_pos[3] == 1.5 for m in msgs) < 45
+    assert all(m.joint_pos[4] == 0.0 for m in msgs)
+
+
+def test_counted_and_varied_fields_change_with_every_message():
+    one = Injection(
+        "SKILL_REQUEST",
+        0.0,
+        1.0,
+        10.0,
+        fields={"request_id": 100},
+        count={"request_id": 2},
+        vary={"start_phase_s": (0.0, 0.5)},
+    )
+    msgs = [skill_request_t.decode(p) for _, _, p in Injector((one,), START).take(START + 10**7)]
+    assert [m.request_id for m in msgs] == list(range(100, 120, 2))
+    phases = [m.start_phase_s for m in msgs]
+    assert len(set(phases)) == 10
+    assert all(0.0 <= phase <= 0.5 for phase in phases)
+
+
+def test_each_run_on_a_bus_is_a_new_publisher():
+    one = Injection("ESTOP", 0.0, epoch=5)
+    ((_, _, payload),) = Injector((one,), START, epoch_offset=1000).take(START)
+    assert CHANNELS["ESTOP"].type.decode(payload).header.epoch == 1005
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "reason"),
+    [
+        ("joint_pso", 1.0, "no field 'joint_pso'; g1_low_state_t has battery_soc"),
+        ("imu_pelvis.giro", 1.0, "imu_t has accel"),
+        ("battery_soc.level", 1.0, "it is no struct"),
+        ("joint_pos[29]", 1.0, "29 elements"),
+        ("joint_pos[-1]", 1.0, "not a path"),
+        ("joint_pos", [1.0, 2.0], "29 elements"),
+        ("battery_soc[0]", 1.0, "no array"),
+        ("battery_soc", "full", "numbers"),
+        ("tick", 1.5, "integers"),
+        ("source", True, "numbers"),
+    ],
+)
+def test_impossible_changes_of_fields_are_refused(path, value, reason):
+    with pytest.raises(BusError, match=reason):
+        set_path(g1_low_state_t(), path, value, "here")
+
+
+def test_arrays_of_bytes_and_of_any_length_can_be_set():
+    state = g1_low_state_t.decode(codec_for(g1_low_state_t).encode(g1_low_state_t()))
+    set_path(state, "wireless_remote", 7, "here")
+    set_path(state, "wireless_remote[2]", 255, "here")
+    assert state.wireless_remote == bytes([7, 7, 255] + [7] * 37)
+    chunk = audio_chunk_t()
+    set_path(chunk, "samples", [1, 2, 3], "here")
+    assert list(chunk.samples) == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("what", "reason"),
+    [
+        ({"drop": -0.1}, "drop is -0.1; valid are 0 to 1"),
+        ({"jitter_ms": math.inf}, "jitter_ms is inf"),
+        ({"from_s": 2.0, "to_s": 1.0}, "to_s is 1"),
+        ({"clock_step_s": math.nan}, "finite"),
+        ({"hold": True}, "needs to_s"),
+    ],
+)
+def test_impossible_impairments_are_refused(what, reason):
+    with pytest.raises(BusError, match=reason):
+        Impairer((Impairment(CHANNEL, **what),), START)
