@@ -172,7 +172,10 @@ def held_joints(ctx: ImportContext, moved: Sequence[str]) -> HeldJoints:
     values = {
         "held.joint_pos": (pose, "zero, where models of fewer joints have them fixed"),
         "held.joint_stiffness": ([HELD_STIFFNESS[i] for i in index], "unitree_rl_gym's hardware"),
-        "held.joint_damping": ([HELD_DAMPING[i] for i in index], "unitree_rl_gym's hardware"),
+        "held.joint_damping": (
+            [HELD_DAMPING[i] for i in index],
+            "unitree_rl_gym's hardware, the waist three times that",
+        ),
     }
     ctx.note(f"held joints = {', '.join(names)}: the network does not move them")
     pos, stiffness, damping = (
