@@ -97,7 +97,9 @@ class Witness:
         self.clock = WallClock()
         self.outcome = Outcome()
         self.start_utime = 0
+        """Scenario time 0 on the time base of the bus [us]."""
         self.ahead_us = 0
+        """What the time base of the bus is ahead of ours; follows CONTROL_STATUS."""
         self.own_epochs: frozenset[int] = frozenset()
         self.sources: set[int] = set()
         self._bus = open_udpm(url, self.clock, "traffic")
@@ -118,19 +120,16 @@ class Witness:
         if msg.header.epoch not in self.own_epochs:
             self.sources.add(msg.source)
 
+    def utime(self) -> int:
+        """Return now on the time base of the bus [us]; our own where nobody speaks."""
+        return self.clock.utime() + self.ahead_us
+
     def listen(self, seconds: float) -> None:
         """Hear who is there, and what time it is on their base."""
         end = self.clock.utime() + round(seconds * 1e6)
-        ahead: list[int] = []
         while self.clock.utime() < end:
-            self._bus.pump(MAX_WAIT_S)
-            for channel in ("G1_LOW_STATE", "CONTROL_STATUS"):
-                latest = self._bus.latest(channel)
-                if latest is not None:
-                    ahead.append(latest.msg.header.utime - latest.recv_utime)
-        for channel in HEARD:
-            self._bus.take(channel)
-        self.ahead_us = max(ahead, default=0)
+            self.pump(MAX_WAIT_S)
+        self.outcome = Outcome()
 
     def refuse_robot(self, scenario: Scenario) -> None:
         """Refuse to speak when a real robot listens.
@@ -161,6 +160,8 @@ class Witness:
             self._height_m = float(received.msg.qpos[2])
         for received in bus.take("CONTROL_STATUS"):
             utime = received.msg.header.utime
+            if received.msg.header.epoch not in self.own_epochs:
+                self.ahead_us = utime - received.recv_utime
             command = self._commands.pop(utime, None)
             if command is not None:
                 time_s = (utime - self.start_utime) * 1e-6
@@ -177,8 +178,7 @@ class Witness:
 
 def _publish(scenario: Scenario, url: str, witness: Witness) -> int:
     """Send everything at its time; returns how many messages were sent."""
-    clock, ahead = witness.clock, witness.ahead_us
-    start = witness.start_utime = clock.utime() + ahead
+    start = witness.start_utime = witness.utime()
     offset = secrets.randbits(40)
     injections = (*scenario.requests, *scenario.inject)
     witness.own_epochs = frozenset(one.epoch + offset for one in injections)
@@ -190,14 +190,14 @@ def _publish(scenario: Scenario, url: str, witness: Witness) -> int:
         links["audio"] = lcm.LCM(parsed.text(AUDIO_PORT_OFFSET))
     end = start + round(scenario.seconds * 1e6)
     count = 0
-    while (now := clock.utime() + ahead) < end:
+    while (now := witness.utime()) < end:
         for utime, channel, payload in injector.take(now):
             impairer.feed(utime, channel, payload)
         for channel, payload in impairer.take(now):
             links[CHANNELS[channel].group].publish(channel, payload)
             count += 1
         due = [one for one in (injector.next_utime, impairer.next_utime) if one is not None]
-        wait_s = (min(due, default=end) - clock.utime() - ahead) * 1e-6
+        wait_s = (min(due, default=end) - witness.utime()) * 1e-6
         witness.pump(min(max(wait_s, 0.0), MAX_WAIT_S))
         witness.refuse_robot(scenario)
     return count
