@@ -26,12 +26,11 @@ from downbeat.policies.spec_toml import spec_to_table
 from downbeat.policies.toml_text import write_toml
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,40}")
-SAYS_NOTHING = frozenset(
-    {"policy", "model", "motion", "deploy", "exported", "params", "checkpoint", "latest"}
+SAYS_NOTHING = re.compile(
+    r"(policy|model|motion|deploy|exported|params|checkpoint|latest)(_?\d+)?|v\d+", re.IGNORECASE
 )
 SHARED_BY_MANY = frozenset({"velocity", "locomotion", "walk", "mimic", "tracking"})
 """Every author has one of that name: the folder above tells them apart."""
-VERSION = re.compile(r"v?\d+")
 SLEW_LINEAR_M_S2 = 0.6
 SLEW_YAW_RAD_S2 = 1.2
 HEADING_GAIN_1_S = 0.5
@@ -41,7 +40,7 @@ RATE_HZ = 50
 def skill_name(path: Path) -> str:
     """Return a skill name for a path: the last part that says what it is."""
     parts = [*path.parts[1:-1], path.stem if path.suffix == ".onnx" else path.name]
-    while len(parts) > 1 and (parts[-1].lower() in SAYS_NOTHING or VERSION.fullmatch(parts[-1])):
+    while len(parts) > 1 and SAYS_NOTHING.fullmatch(parts[-1]):
         parts.pop()
     name = parts[-1]
     if name.lower() in SHARED_BY_MANY:

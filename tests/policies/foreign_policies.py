@@ -1,5 +1,6 @@
 """Small policies in the layouts of the public formats, made by the tests."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ ISAAC = tuple(
     )
 )
 MOTION_ROWS = 60
+RIGID_23 = (13, 14, 20, 21, 27, 28)
+"""Motors that the G1 of 23 joints does not have."""
 BODIES = ("pelvis", "torso_link")
 
 
@@ -72,6 +75,25 @@ def beyondmimic_metadata(**changes):
     return {key: value for key, value in table.items() if value is not None}
 
 
+def gathered(tables):
+    """Rows of tables, read at `time_step`: (nodes, weights, outputs)."""
+    weights = [
+        ("last", np.array([MOTION_ROWS - 1.0]), np.float32),
+        ("shape", np.array([1]), np.int64),
+    ]
+    nodes = [
+        helper.make_node("Reshape", ["time_step", "shape"], ["flat"]),
+        helper.make_node("Min", ["flat", "last"], ["clipped"]),
+        helper.make_node("Cast", ["clipped"], ["row"], to=TensorProto.INT64),
+    ]
+    outputs = {}
+    for name, table in tables.items():
+        weights.append((f"{name}_table", table, np.float32))
+        nodes.append(helper.make_node("Gather", [f"{name}_table", "row"], [name]))
+        outputs[name] = [1, *table.shape[1:]]
+    return nodes, weights, outputs
+
+
 def beyondmimic(path, width=154, **changes):
     """A tracking policy with a baked motion of `MOTION_ROWS` rows."""
     nodes, weights = linear(width, 29)
@@ -86,20 +108,9 @@ def beyondmimic(path, width=154, **changes):
         "body_pos_w": place,
         "body_quat_w": quat,
     }
-    weights += [
-        ("last", np.array([MOTION_ROWS - 1.0]), np.float32),
-        ("shape", np.array([1]), np.int64),
-    ]
-    nodes += [
-        helper.make_node("Reshape", ["time_step", "shape"], ["flat"]),
-        helper.make_node("Min", ["flat", "last"], ["clipped"]),
-        helper.make_node("Cast", ["clipped"], ["row"], to=TensorProto.INT64),
-    ]
-    outputs = {"actions": [1, 29]}
-    for name, table in tables.items():
-        weights.append((f"{name}_table", table, np.float32))
-        nodes.append(helper.make_node("Gather", [f"{name}_table", "row"], [name]))
-        outputs[name] = [1, *table.shape[1:]]
+    table_nodes, table_weights, outputs = gathered(tables)
+    nodes, weights = nodes + table_nodes, weights + table_weights
+    outputs = {"actions": [1, 29], **outputs}
     inputs = {"obs": [1, width], "time_step": [1, 1]}
     return save(path, nodes, inputs, outputs, weights, beyondmimic_metadata(**changes))
 
@@ -121,6 +132,34 @@ def mjlab_velocity(path, **changes):
         {"actions": [1, 29]},
         weights,
         beyondmimic_metadata(**changes),
+    )
+
+
+def holosoma_tracking(path):
+    """holosoma's whole-body tracking: quaternions xyzw, JSON metadata, alphabetical terms."""
+    nodes, weights = linear(154, 29)
+    pos = np.tile(np.asarray(ROBOT.default_joint_pos), (MOTION_ROWS, 1))
+    quat = np.tile([0.0, 0.0, np.sin(0.5), np.cos(0.5)], (MOTION_ROWS, 1))
+    tables = {
+        "joint_pos": pos,
+        "joint_vel": 0.0 * pos,
+        "ref_pos_xyz": np.tile([0.0, 0.0, 0.79], (MOTION_ROWS, 1)),
+        "ref_quat_xyzw": quat,
+    }
+    table_nodes, table_weights, outputs = gathered(tables)
+    meta = {
+        "dof_names": json.dumps(JOINTS),
+        "kp": json.dumps([float(v) for v in ROBOT.joint_stiffness]),
+        "kd": json.dumps([float(v) for v in ROBOT.joint_damping]),
+        "robot_urdf": json.dumps("<robot/>"),
+    }
+    return save(
+        path,
+        nodes + table_nodes,
+        {"obs": [1, 154], "time_step": [1, 1]},
+        {"actions": [1, 29], **outputs},
+        weights + table_weights,
+        meta,
     )
 
 
@@ -191,6 +230,56 @@ def unitree_velocity(folder: Path, history=5, **changes):
     text = YAML.format(**{**values, **changes})
     (folder / "params").mkdir(parents=True, exist_ok=True)
     (folder / "params" / "deploy.yaml").write_text(text)
+    return folder
+
+
+def motion_npz(path, count=29, fps=50.0, rows=100, **changes):
+    """A motion table as BeyondMimic's tools write it."""
+    quat = np.zeros((rows, 3, 4))
+    quat[..., 0] = 1.0
+    tables = {
+        "fps": np.array([fps]),
+        "joint_pos": np.zeros((rows, count)),
+        "joint_vel": np.zeros((rows, count)),
+        "body_pos_w": np.full((rows, 3, 3), 0.8),
+        "body_quat_w": quat,
+        **changes,
+    }
+    np.savez(path, **tables)
+    return path
+
+
+def motion_csv(path, rows=300, columns=29):
+    """A motion as CSV: base position, quaternion xyzw, joints; the first joint swings."""
+    table = np.zeros((rows, 7 + columns))
+    table[:, 2], table[:, 6] = 0.8, 1.0
+    table[:, 7] = np.linspace(0.0, 1.0, rows)
+    np.savetxt(path, table, delimiter=",")
+    return path
+
+
+def unitree_mimic(folder, count=29, **changes):
+    """A tracking policy in Unitree's layout, without its motion file."""
+    ids = [i for i in (ROBOT.joint_index(n) for n in ISAAC) if count == 29 or i not in RIGID_23]
+    width = 2 * count + 6 + 3 + 3 * count
+    nodes, weights = linear(width, count)
+    network = folder / "exported" / "policy.onnx"
+    save(network, nodes, {"obs": [1, width]}, {"actions": [1, count]}, weights)
+    names = ("motion_command", "motion_anchor_ori_b", "base_ang_vel", "joint_pos_rel")
+    terms = "".join(
+        f"  {name}: {{params: {{}}, clip: null, scale: null, history_length: 1}}\n"
+        for name in (*names, "joint_vel_rel", "last_action")
+    )
+    values = {
+        "ids": ids,
+        "kp": [float(v) for v in ROBOT.joint_stiffness],
+        "kd": [float(v) for v in ROBOT.joint_damping],
+        "default": [float(ROBOT.default_joint_pos[i]) for i in ids],
+        "scale": [0.25] * count,
+        "terms": terms,
+    }
+    (folder / "params").mkdir(parents=True, exist_ok=True)
+    (folder / "params" / "deploy.yaml").write_text(YAML.format(**{**values, **changes}))
     return folder
 
 
