@@ -78,7 +78,7 @@ class Traffic:
     """Play a traffic scenario (lost, late, broken, forged messages) and judge the reaction."""
 
     scenario: tyro.conf.Positional[Path]
-    """TOML file; tests/scenarios has three dozen."""
+    """TOML file; tests/scenarios has more than a hundred."""
     url: str = ""
     """Publish its requests and injections on this bus; omitted: lockstep with control and plant."""
     json: bool = False
