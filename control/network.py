@@ -148,6 +148,8 @@ class NetworkSkill:
             facing = anchor_quat(state, body)
             here = anchor_pos(state, body) if self._needs_anchor_pos else None
             phase = np.float32(self._motion.row(phase_s) / (self._motion.spec.rows - 1))
+        elif self.spec.phase_duration_s > 0.0:
+            phase = np.float32(min(max(phase_s / self.spec.phase_duration_s, 0.0), 1.0))
         return TermInputs(
             state=state,
             joint_pos=state.joint_pos[self._joints],

@@ -242,6 +242,7 @@ def observe_input(
     Returns:
         The observation (..., width), and the histories for the next tick.
     """
+    seen: list[Array] = []
     kept: list[Array] = []
     for index, term in enumerate(spec.terms):
         value = TERMS[term.name](inputs, xp)  # (..., width)
@@ -250,23 +251,27 @@ def observe_input(
         if term.scale != (1.0,):
             value = value * xp.asarray(term.scale, value.dtype)
         frame = value[..., None, :]  # (..., 1, width)
-        if term.history == 1:
+        if term.history == 1 and not term.past:
             kept.append(frame)
-        elif histories is not None:
-            kept.append(xp.concatenate([histories[index][..., 1:, :], frame], axis=-2))
+            seen.append(frame)
+            continue
+        if histories is not None:
+            before = histories[index]
         else:
-            past = frame if spec.history_fill == "first" else xp.zeros_like(frame)
-            kept.append(xp.concatenate([past] * (term.history - 1) + [frame], axis=-2))
-    obs = _flatten(spec, kept, xp)
+            first = frame if spec.history_fill == "first" else xp.zeros_like(frame)
+            before = xp.concatenate([first] * term.history, axis=-2)
+        kept.append(xp.concatenate([before[..., 1:, :], frame], axis=-2))
+        seen.append(before if term.past else kept[-1])
+    obs = _flatten(spec, seen, xp)
     if spec.clip is not None:
         obs = xp.clip(obs, -spec.clip, spec.clip)
     return obs, tuple(kept)
 
 
-def _flatten(spec: InputSpec, kept: list[Array], xp: ModuleType) -> Array:
-    seen = kept
+def _flatten(spec: InputSpec, frames_seen: list[Array], xp: ModuleType) -> Array:
+    seen = frames_seen
     if spec.history_order == "newest_first":
-        seen = [frames[..., ::-1, :] for frames in kept]
+        seen = [frames[..., ::-1, :] for frames in frames_seen]
     if spec.history_layout == "frame":
         joined = xp.concatenate(seen, axis=-1)  # (..., frames, all terms)
         return joined.reshape((*joined.shape[:-2], -1))

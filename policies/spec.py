@@ -27,12 +27,14 @@ class TermSpec:
         scale: Factor, one number or one per element.
         clip: (low, high) before scaling; None: no clip.
         history: Frames of it that the network sees, at least 1.
+        past: The frames end with the previous tick; False: with this one.
     """
 
     name: str
     scale: tuple[float, ...] = (1.0,)
     clip: tuple[float, float] | None = None
     history: int = 1
+    past: bool = False
 
     def width(self, num_joints: int) -> int:
         """Return the width of one frame."""
@@ -148,6 +150,8 @@ class PolicySpec:
         recurrent: Recurrent states.
         motion: Reference motion; None without one.
         gait: Gait clock; None without one.
+        phase_duration_s: Length of a motion that the network knows by heart and only needs the
+            phase of [s]; 0: it has a reference motion, or none at all.
     """
 
     dialect: str
@@ -166,6 +170,7 @@ class PolicySpec:
     recurrent: tuple[RecurrentSpec, ...] = ()
     motion: MotionSpec | None = None
     gait: GaitSpec | None = None
+    phase_duration_s: float = 0.0
 
     @property
     def num_joints(self) -> int:

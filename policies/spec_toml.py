@@ -80,13 +80,16 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         return _convert_tuple(get_args(hint), value, where)
     if is_dataclass(hint) and isinstance(hint, type):
         return _from_table(hint, value, where)
+    if hint is bool and isinstance(value, bool):
+        return value
     if hint is float:
         return number(value, where)
     if hint is int:
         return integer(value, where)
     if hint is str and isinstance(value, str):
         return value
-    raise PolicyError(f"{value!r} is not text ({where}).")
+    wanted = "true or false" if hint is bool else "text"
+    raise PolicyError(f"{value!r} is not {wanted} ({where}).")
 
 
 def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
@@ -131,6 +134,12 @@ def check_spec(spec: PolicySpec, where: str) -> None:
         raise PolicyError(
             f"A motion of {spec.motion.rows} rows is not possible; valid are 2..{MAX_MOTION_ROWS} "
             f"({where}.motion.rows)."
+        )
+    knows_length = spec.motion is not None or 0.0 < spec.phase_duration_s < MAX_MOTION_ROWS
+    if "motion_phase" in spec.term_names and not knows_length:
+        raise PolicyError(
+            "Term 'motion_phase' needs a reference motion or its length "
+            f"({where}.phase_duration_s)."
         )
     if spec.needs_gait and (spec.gait is None or not spec.gait.period_s > 0.0):
         raise PolicyError(f"Gait terms need a gait clock; none is given ({where}.gait).")

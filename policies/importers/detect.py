@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from downbeat.policies.errors import PolicyError
-from downbeat.policies.importers import beyondmimic, holosoma, rl_gym, unitree, written
+from downbeat.policies.importers import asap, beyondmimic, holosoma, rl_gym, unitree, written
 from downbeat.policies.importers.context import Draft, ImportContext
 from downbeat.policies.importers.network import Network, read_network
 from downbeat.runtime.errors import one_of
@@ -15,6 +15,7 @@ FORMATS = (
     "holosoma ONNX (metadata dof_names, kp, kd)",
     "a unitree_rl_lab or unitree_rl_mjlab folder (params/deploy.yaml, exported/policy.onnx)",
     "the unitree_rl_gym network (47 observations, 12 actions)",
+    "an ASAP or PBHC motion (380 observations, 23 actions)",
     "any ONNX with a description of ours beside it (NAME.toml with a [policy] table)",
 )
 
@@ -58,7 +59,7 @@ def _onnx_file(path: Path) -> Path:
 
 
 def _from_network(ctx: ImportContext, network: Network) -> Draft:
-    for importer in (written, beyondmimic, holosoma, rl_gym):
+    for importer in (written, beyondmimic, holosoma, rl_gym, asap):
         if importer.recognises(network):
             return importer.import_policy(ctx, network)
     shapes = ", ".join(f"{name} {list(shape)}" for name, shape in network.inputs.items())

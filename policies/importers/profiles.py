@@ -89,6 +89,21 @@ class RlGymProfile:
 
 
 @dataclass(frozen=True)
+class AsapProfile:
+    """What ASAP and its descendants keep in the configuration beside their 380-wide network.
+
+    Attributes:
+        default_joint_pos: (23,) [rad], legs, waist, four joints of each arm.
+        joint_stiffness: (23,) [N m/rad].
+        joint_damping: (23,) [N m s/rad].
+    """
+
+    default_joint_pos: tuple[float, ...]
+    joint_stiffness: tuple[float, ...]
+    joint_damping: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class MotionWindow:
     """Which part of a published motion file its author's state machine plays.
 
@@ -119,6 +134,42 @@ HOLOSOMA = {
         ),
     ),
 }
+ASAP = {
+    "asap_g1_23dof": AsapProfile(
+        (*(-0.1, 0.0, 0.0, 0.3, -0.2, 0.0) * 2, *(0.0,) * 11),
+        (*(100, 100, 100, 200, 20, 20) * 2, 400, 400, 400, *(90, 60, 20, 60) * 2),
+        (*(2.5, 2.5, 2.5, 5.0, 0.2, 0.1) * 2, 5, 5, 5, *(2.0, 1.0, 0.4, 1.0) * 2),
+    ),
+    "pbhc_g1_23dof": AsapProfile(
+        (
+            *(-0.1, 0.0, 0.0, 0.3, -0.2, 0.0) * 2,
+            *(0.0, 0.0, 0.0),
+            *(0.2, 0.2, 0.0, 0.9, 0.2, -0.2, 0.0, 0.9),
+        ),
+        (*(100, 100, 100, 150, 40, 40) * 2, 400, 400, 400, *(100, 100, 50, 50) * 2),
+        (*(2.0, 2.0, 2.0, 4.0, 2.0, 2.0) * 2, 5, 5, 5, *(2.0, 2.0, 2.0, 2.0) * 2),
+    ),
+}
+ASAP_MOTIONS = {
+    "cr7_level1": ("asap_g1_23dof", 3.967),
+    "dance_0605": ("asap_g1_23dof", 18.0),
+    "horse_squat": ("pbhc_g1_23dof", 6.67),
+    "lift_up": ("asap_g1_23dof", 11.067),
+    "apt_level1": ("asap_g1_23dof", 7.66),
+    "kobe_level1": ("asap_g1_23dof", 4.16),
+    "jump_forward_level1": ("asap_g1_23dof", 3.76),
+    "jump_forward_level2": ("asap_g1_23dof", 3.56),
+    "jump_forward_level3": ("asap_g1_23dof", 4.26),
+    "kick_level1": ("asap_g1_23dof", 3.96),
+    "kick_level2": ("asap_g1_23dof", 3.36),
+    "kick_level3": ("asap_g1_23dof", 4.56),
+    "lebron_level1": ("asap_g1_23dof", 5.067),
+    "lebron_level2": ("asap_g1_23dof", 6.967),
+    "side_jump_level1": ("asap_g1_23dof", 3.06),
+    "side_jump_level2": ("asap_g1_23dof", 3.56),
+    "side_jump_level3": ("asap_g1_23dof", 3.66),
+}
+"""Name of a published file or its folder -> profile, length of the motion [s]."""
 RL_GYM = {"unitree_rl_gym_g1": RlGymProfile()}
 WINDOWS = {
     "dance_102": MotionWindow("G1_Take_102.bvh_60hz.csv", 2.8, 24.0),

@@ -283,6 +283,12 @@ def unitree_mimic(folder, count=29, **changes):
     return folder
 
 
+def asap(path):
+    """380 observations, 23 actions, no metadata."""
+    nodes, weights = linear(380, 23, "actor_obs", "action")
+    return save(path, nodes, {"actor_obs": [1, 380]}, {"action": [1, 23]}, weights)
+
+
 def rl_gym(path, hidden=8):
     """47 observations, 12 actions, one recurrent state that is passed explicitly."""
     rng = np.random.default_rng(0)

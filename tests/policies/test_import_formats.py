@@ -224,6 +224,34 @@ def test_wide_action_clip_is_accepted_and_a_narrow_one_refused(tmp_path):
         import_policy(folder, tmp_path / "out")
 
 
+def test_asap_sees_the_four_ticks_before_this_one_newest_first(tmp_path):
+    path = made.asap(tmp_path / "kick_level1.onnx")
+    manifest = import_policy(path, tmp_path / "out")
+    assert manifest.duration_s == pytest.approx(3.96)
+    skill = NetworkSkill(manifest)
+    memory = skill.begin(states()[0], 0.0)
+    rates = [state.base_ang_vel * np.float32(0.25) for state in states()]
+    for tick, state in enumerate(states()[:6]):
+        seen = skill.step(memory, state, 0.02 * tick, ZERO).obs
+        assert seen[23:26] == pytest.approx(rates[tick])
+        past = [rates[k] if k >= 0 else ZERO for k in range(tick - 1, tick - 5, -1)]
+        start = 72 + 4 * 23  # what is now, then four past actions
+        assert seen[start : start + 12] == pytest.approx(np.concatenate(past))
+        assert seen[-1] == pytest.approx(0.02 * tick / 3.96)
+
+
+def test_unknown_asap_motion_needs_a_profile_and_a_length(tmp_path):
+    path = made.asap(tmp_path / "mine.onnx")
+    with pytest.raises(PolicyError, match="asap_g1_23dof, pbhc_g1_23dof with --profile"):
+        import_policy(path, tmp_path / "out")
+    with pytest.raises(PolicyError, match="does not say motion.duration_s"):
+        import_policy(path, tmp_path / "out", profile="pbhc_g1_23dof")
+    manifest = import_policy(
+        path, tmp_path / "out", profile="pbhc_g1_23dof", settings=("motion.duration_s=5",)
+    )
+    assert manifest.duration_s == 5.0
+
+
 def test_network_without_metadata_is_described_beside_it(tmp_path):
     first = import_policy(made.rl_gym(tmp_path / "lstm.onnx"), tmp_path / "out")
     path = tmp_path / "mine" / "walker.onnx"
