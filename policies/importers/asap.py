@@ -16,7 +16,7 @@ from downbeat.policies.importers.build import (
 from downbeat.policies.importers.context import Draft, ImportContext
 from downbeat.policies.importers.network import Network
 from downbeat.policies.importers.profiles import ASAP, ASAP_MOTIONS
-from downbeat.policies.importers.values import finite
+from downbeat.policies.importers.values import positive
 from downbeat.policies.spec import InputSpec, PolicySpec, TermSpec
 from downbeat.runtime.errors import one_of
 
@@ -62,7 +62,7 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
     if length is None and ctx.setting("motion.duration_s") is None:
         raise ctx.need("motion.duration_s", "only the phase of its motion is an input")
     found = ctx.infer("motion.duration_s", length, f"{source}, {network.path.name}")
-    duration = finite([found], "--set motion.duration_s")[0]
+    duration = positive(found, "--set motion.duration_s")
     names = [joint for joint in load_g1().joint_names if WRISTS not in joint]
     ctx.note(f"joint_names = {len(names)}, all but the wrists, motor order: {source}")
     ctx.note(f"observation terms = the family's block of {NUM_OBS}: {source}")

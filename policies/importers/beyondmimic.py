@@ -25,7 +25,7 @@ from downbeat.policies.importers.motion import RATE_HZ, Tables
 from downbeat.policies.importers.motion_files import motion_beside
 from downbeat.policies.importers.network import Network
 from downbeat.policies.importers.profiles import VELOCITY_RANGES
-from downbeat.policies.importers.values import csv_numbers, csv_texts
+from downbeat.policies.importers.values import csv_numbers, csv_texts, name_list
 from downbeat.policies.spec import InputSpec, MotionSpec, PolicySpec, TermSpec
 from downbeat.runtime.errors import one_of
 
@@ -116,7 +116,7 @@ def _value(ctx: ImportContext, network: Network, key: str) -> Any:
         # `joints` asks again and says that it was set; the observation names are only asked here.
         if key == "observation_names":
             ctx.infer(key, given, "--set")
-        return csv_texts(given) if isinstance(given, str) else given
+        return given if key in NUMBERS else name_list(given, f"--set {key}")
     if key not in meta:
         raise ctx.need(key, f"its metadata has {one_of(meta)}")
     if key not in NUMBERS:

@@ -11,7 +11,7 @@ from downbeat.policies.errors import PolicyError
 from downbeat.policies.importers.context import ImportContext
 from downbeat.policies.importers.network import Network
 from downbeat.policies.importers.profiles import HELD_DAMPING, HELD_STIFFNESS, LEGS
-from downbeat.policies.importers.values import finite, spread
+from downbeat.policies.importers.values import finite, name_list, spread
 from downbeat.policies.spec import (
     HeldJoints,
     PolicySpec,
@@ -65,7 +65,8 @@ def joints(
     where: str,
 ) -> Joints:
     """Check and collect the joint arrays; `--set` may replace each of them."""
-    checked = check_names(ctx.found("joint_names", names), where)
+    named = name_list(ctx.found("joint_names", names), f"{where}:joint_names")
+    checked = check_names(named, where)
     count = len(checked)
     table = {
         "default_joint_pos": default,

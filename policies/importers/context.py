@@ -136,7 +136,7 @@ class Draft:
 
 
 def parse_settings(items: Sequence[str]) -> dict[str, Any]:
-    """Parse `key=value` items; values are numbers, true, false, lists or texts.
+    """Parse `key=value` items; values are numbers, lists of numbers (1,2,3), lists or texts.
 
     Raises:
         PolicyError: An item has no '='.
@@ -146,11 +146,17 @@ def parse_settings(items: Sequence[str]) -> dict[str, Any]:
         key, sep, text = item.partition("=")
         if not sep or not key.strip():
             raise PolicyError(f"'{item}' is not key=value (--set).")
-        try:
-            settings[key.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            settings[key.strip()] = text.strip()
+        settings[key.strip()] = _parsed(text)
     return settings
+
+
+def _parsed(text: str) -> Any:
+    for form in (text, f"[{text}]"):
+        try:
+            return tomllib.loads(f"value = {form}")["value"]
+        except tomllib.TOMLDecodeError:
+            continue
+    return text.strip()
 
 
 def _short(value: Any, length: int = 100) -> str:

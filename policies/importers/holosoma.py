@@ -27,7 +27,7 @@ from downbeat.policies.importers.context import Draft, ImportContext
 from downbeat.policies.importers.motion import RATE_HZ, Tables
 from downbeat.policies.importers.network import Network
 from downbeat.policies.importers.profiles import HOLOSOMA, HolosomaProfile
-from downbeat.policies.importers.values import json_value
+from downbeat.policies.importers.values import json_value, positive
 from downbeat.policies.spec import GaitSpec, InputSpec, MotionSpec, PolicySpec, TermSpec
 from downbeat.runtime.errors import one_of
 
@@ -75,7 +75,8 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
     obs, action = obs_input(network), action_output(network, len(moved.names))
     gait = None
     if profile.gait_period_s is not None:
-        period = float(ctx.infer("gait.period_s", profile.gait_period_s, source))
+        given = ctx.infer("gait.period_s", profile.gait_period_s, source)
+        period = positive(given, "gait.period_s")
         gait = GaitSpec(period, start=TICK_S / period, still="together")
         ctx.note(f"gait.still = both feet at phase 0.5 while nothing is commanded: {source}")
     ctx.note(f"action_clip = -{ACTION_CLIP:g}..{ACTION_CLIP:g}: {source}")
@@ -115,8 +116,6 @@ def _joints(ctx: ImportContext, network: Network, profile: HolosomaProfile, sour
         ours = {"dof_names": "joint_names", "kp": "joint_stiffness", "kd": "joint_damping"}[key]
         if found[key] is None and ctx.setting(ours) is None:
             raise ctx.need(ours, f"its metadata has {one_of(network.metadata)} but no {key}")
-    if found["dof_names"] is not None and not isinstance(found["dof_names"], list):
-        raise PolicyError(f"{network.path}:metadata.dof_names is not a list of joints.")
     scale = _from_meta(network, "action_scale")
     if scale is None:
         scale = ctx.infer("action_scale", profile.action_scale, source)

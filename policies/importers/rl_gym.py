@@ -18,7 +18,7 @@ from downbeat.policies.importers.context import Draft, ImportContext
 from downbeat.policies.importers.network import Network
 from downbeat.policies.importers.profiles import RL_GYM, RlGymProfile
 from downbeat.policies.importers.safe_yaml import read_yaml
-from downbeat.policies.importers.values import finite
+from downbeat.policies.importers.values import finite, positive
 from downbeat.policies.spec import (
     GaitSpec,
     InputSpec,
@@ -60,7 +60,8 @@ def import_policy(ctx: ImportContext, network: Network) -> Draft:
     source = f"built-in profile {name}"
     values = _numbers(ctx, network.path.with_name(CONFIG_NAME), profile, source)
     ctx.note(f"joint_names = 12 legs, motor order: {source}")
-    period = finite([ctx.infer("gait.period_s", profile.gait_period_s, source)], "gait.period_s")[0]
+    given = ctx.infer("gait.period_s", profile.gait_period_s, source)
+    period = positive(given, "gait.period_s")
     ctx.note(f"observation terms = the family's block of {NUM_OBS}: {source}")
     moved = joints(
         ctx,

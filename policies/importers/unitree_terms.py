@@ -10,7 +10,7 @@ from downbeat.policies.errors import PolicyError
 from downbeat.policies.importers.build import TIME_STEP
 from downbeat.policies.importers.context import ImportContext
 from downbeat.policies.importers.network import Network
-from downbeat.policies.importers.values import finite, short
+from downbeat.policies.importers.values import finite, positive, short
 from downbeat.policies.spec import GaitSpec, InputSpec, TermSpec
 from downbeat.policies.terms import TERM_WIDTHS
 from downbeat.runtime.errors import one_of
@@ -144,7 +144,5 @@ def _gait(ctx: ImportContext, entry: Mapping[str, Any], where: str) -> GaitSpec:
     given = ctx.setting("gait.period_s")
     if period is None and given is None:
         raise ctx.need("gait.period_s", f"{where} has no params.period")
-    found = finite([ctx.found("gait.period_s", period)], f"{where}.params.period")[0]
-    if not found > 0.0:
-        raise PolicyError(f"{where}.params.period is {found:g}; it must be above 0.")
+    found = positive(ctx.found("gait.period_s", period), f"{where}.params.period")
     return GaitSpec(found, start=TICK_S / found)

@@ -30,7 +30,34 @@ def csv_numbers(text: str, where: str) -> tuple[float, ...]:
     return finite([_number(part, where) for part in csv_texts(text)], where)
 
 
+def name_list(value: Any, where: str) -> tuple[str, ...]:
+    """Return a list of names; text is split at commas.
+
+    Raises:
+        PolicyError: It is neither.
+    """
+    if isinstance(value, str):
+        return csv_texts(value)
+    if not isinstance(value, list | tuple) or not all(isinstance(item, str) for item in value):
+        raise PolicyError(f"{short(value)} is not a list of names ({where}).")
+    return tuple(value)
+
+
+def positive(value: Any, where: str) -> float:
+    """Return a finite number above zero.
+
+    Raises:
+        PolicyError: It is none.
+    """
+    found = finite([value], where)[0]
+    if not found > 0.0:
+        raise PolicyError(f"{found:g} must be above 0 ({where}).")
+    return found
+
+
 def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool):
+        raise PolicyError(f"{value} is not a number ({where}).")
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):

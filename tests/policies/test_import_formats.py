@@ -276,9 +276,11 @@ def test_missing_metadata_is_named_and_can_be_set(tmp_path, key):
     path = made.beyondmimic(tmp_path / "dance.onnx", **{key: None})
     with pytest.raises(PolicyError, match=f"does not say {key}.*--set {key}=VALUE"):
         import_policy(path, tmp_path / "out")
-    items = [v if key.endswith("names") else float(v) for v in value.split(",")]
-    manifest = import_policy(path, tmp_path / "out", settings=(f"{key}={items}",))
+    manifest = import_policy(path, tmp_path / "out", settings=(f"{key}={value}",))
     assert inferred(manifest, key).endswith("--set")
+    for wrong in ("-5", "true", "[[1, 2]]", "nan", "", "[]"):
+        with pytest.raises(PolicyError):
+            import_policy(path, tmp_path / "out", settings=(f"{key}={wrong}",))
 
 
 @pytest.mark.parametrize(
