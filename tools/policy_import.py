@@ -75,7 +75,7 @@ def import_command(
     if as_json:
         print(json.dumps(_summary(manifest)))
         return 0
-    print_policy(manifest, Console())
+    print_policy(manifest, Console(markup=False, highlight=False))
     print(f"imported: {manifest.folder}")
     print(f"certify it: downbeat policy certify {manifest.name} --skills {out} --write")
     return 0

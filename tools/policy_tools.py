@@ -48,7 +48,7 @@ def certify(names: Sequence[str], folder: Path | None, write: bool) -> int:
 
 def inspect(names: Sequence[str], folder: Path | None) -> int:
     """Print a table of skills, or everything about some: names, their folders, foreign policies."""
-    console = Console()
+    console = Console(markup=False, highlight=False)
     if not names:
         console.print(_overview(list(load_skills(folder).values())))
         return 0
@@ -58,7 +58,7 @@ def inspect(names: Sequence[str], folder: Path | None) -> int:
         for manifest in chosen:
             if manifest.policy is not None:
                 print_policy(manifest, console)
-                console.print(f"golden vectors: {_golden(manifest)}", highlight=False)
+                console.print(f"golden vectors: {_golden(manifest)}")
             if manifest.certificate is not None:
                 console.print(_certificate(manifest))
     return 0

@@ -29,8 +29,11 @@ def _description(network: Network) -> Path:
 
 
 def recognises(network: Network) -> bool:
-    """Whether a description lies beside the file."""
-    return _description(network).is_file()
+    """Whether a description of this kind lies beside the file."""
+    path = _description(network)
+    if not path.is_file() or path.stat().st_size > MAX_BYTES:
+        return False
+    return b"[policy" in path.read_bytes()
 
 
 def import_policy(ctx: ImportContext, network: Network) -> Draft:

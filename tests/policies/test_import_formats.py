@@ -409,6 +409,18 @@ def test_inspect_shows_a_foreign_policy_without_keeping_it(tmp_path, capsys):
     assert os.listdir(tmp_path) == ["lstm.onnx"]
 
 
+def test_names_in_a_file_are_never_taken_for_markup(tmp_path):
+    nodes, weights = made.linear(99, 29, obs="[/red]")
+    meta = made.beyondmimic_metadata(
+        command_names="twist",
+        observation_names="base_lin_vel,base_ang_vel,projected_gravity,joint_pos,joint_vel,"
+        "actions,command",
+    )
+    inputs = {"[/red]": [1, 99]}
+    path = made.save(tmp_path / "x.onnx", nodes, inputs, {"actions": [1, 29]}, weights, meta)
+    assert main(["policy", "inspect", str(path)]) == 0
+
+
 def test_inspect_shows_an_imported_skill_by_its_folder(tmp_path, capsys):
     manifest = import_policy(made.beyondmimic(tmp_path / "dance.onnx"), tmp_path / "out")
     assert main(["policy", "inspect", str(manifest.folder)]) == 0
