@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import resource
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,9 @@ from downbeat.policies.manifest import SkillManifest, file_sha256, load_manifest
 from downbeat.policies.toml_edit import set_files
 from downbeat.tools.policy_inspect import print_policy
 
+MAX_MEMORY_BYTES = 4_000_000_000
+"""Beyond what the process holds when an import begins."""
+
 
 def import_policy(
     path: Path,
@@ -39,8 +44,9 @@ def import_policy(
         DownbeatError: One sentence: what is missing or contradicts, and what would be valid.
     """
     ctx = ImportContext(path, name or skill_name(path.resolve()), profile, parse_settings(settings))
-    draft = read_policy(ctx)
-    with staging(out, ctx.name, source_of(ctx)) as folder:
+    with _bounded_memory():
+        draft = read_policy(ctx)
+    with _bounded_memory(), staging(out, ctx.name, source_of(ctx)) as folder:
         manifest = write_skill(ctx, draft, folder, licence)
         golden = write_golden(_open(manifest, path))
         set_files(
@@ -50,6 +56,28 @@ def import_policy(
         )
         verify_golden(NetworkSkill(load_manifest(folder / "manifest.toml")))
     return load_manifest(out / ctx.name / "manifest.toml")
+
+
+@contextmanager
+def _bounded_memory() -> Iterator[None]:
+    """Let a network that asks for more memory than any policy needs fail, not the machine."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    except OSError:  # not Linux
+        yield
+        return
+    wanted = pages * resource.getpagesize() + MAX_MEMORY_BYTES
+    limits = [wanted, *(value for value in (soft, hard) if value != resource.RLIM_INFINITY)]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+    try:
+        yield
+    except MemoryError as error:
+        raise PolicyError(
+            f"The policy asks for more than {MAX_MEMORY_BYTES // 10**9} GB of memory."
+        ) from error
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _open(manifest: SkillManifest, origin: Path) -> NetworkSkill:

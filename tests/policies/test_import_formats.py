@@ -363,6 +363,26 @@ def test_network_that_may_never_return_is_refused(tmp_path):
         import_policy(path, tmp_path / "out")
 
 
+def test_network_that_wants_all_memory_is_refused(tmp_path):
+    """64 GB of zeros from a file of a kilobyte."""
+    path = made.rl_gym(tmp_path / "x.onnx")
+    import onnx
+
+    model = onnx.load(str(path))
+    model.graph.initializer.append(
+        onnx.numpy_helper.from_array(np.array([2**17, 2**17], np.int64), "shape")
+    )
+    grown = helper.make_node("ConstantOfShape", ["shape"], ["huge"])
+    total = helper.make_node("ReduceSum", ["huge"], ["total"], keepdims=0)
+    (last,) = [node for node in model.graph.node if "action" in node.output]
+    last.output[0] = "before"
+    added = helper.make_node("Add", ["before", "total"], ["action"])
+    model.graph.node.extend([grown, total, added])
+    path.write_bytes(model.SerializeToString())
+    with pytest.raises(PolicyError, match="cannot be run"):
+        import_policy(path, tmp_path / "out")
+
+
 @pytest.mark.parametrize("part", ["params/deploy.yaml", "exported/policy.onnx"])
 def test_links_that_lead_out_of_the_folder_are_refused(tmp_path, part):
     folder = made.unitree_velocity(tmp_path / "velocity")
