@@ -52,6 +52,18 @@ def test_sample_imports_with_no_further_option(sample, tmp_path):
     assert verify_golden(NetworkSkill(manifest)) == 0.0
 
 
+def test_all_samples_fit_into_one_folder(tmp_path):
+    if not SHARED.is_dir():
+        pytest.skip("no ../shared/policies beside this checkout")
+    for sample in SAMPLES:
+        import_policy(SHARED / sample, tmp_path)
+    skills = load_skills(tmp_path)
+    assert len(skills) == len(SAMPLES)
+    assert {"unitree_rl_lab_velocity", "unitree_rl_mjlab_velocity"} <= set(skills)
+    for name, seconds in (("dance_102", 21.2), ("gangnam_style", 20.3), ("my_dance", 10.0)):
+        assert skills[name].duration_s == pytest.approx(seconds, abs=0.05)
+
+
 def test_beyondmimic_motion_is_cut_out_of_the_graph(tmp_path):
     path = made.beyondmimic(tmp_path / "dance.onnx")
     manifest = import_policy(path, tmp_path / "out")
