@@ -47,15 +47,14 @@ class BlackBox:
 
     def note(self, channel: str, payload: bytes) -> None:
         """Keep one message of the bus, in or out."""
-        now = self._clock.utime()
-        messages = self._messages
-        messages.append((now, channel, payload))
-        while messages[0][0] < now - KEPT_US:
-            messages.popleft()
+        self._messages.append((self._clock.utime(), channel, payload))
 
     def after_tick(self, inputs: TickInput, output: TickOutput) -> None:
         """Keep one tick; start a dump if it tripped, go on with one that is under way."""
         self._ticks.append((inputs, output))
+        messages, oldest = self._messages, inputs.utime - KEPT_US
+        while messages and messages[0][0] < oldest:
+            messages.popleft()
         if output.tripped and self._writer is None and self.dumps < MAX_DUMPS:
             self.dumps += 1
             self._writer = self._dump(self._folder / str(inputs.utime), output.status.fault_text)

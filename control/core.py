@@ -72,19 +72,16 @@ class ControlCore:
         self._sent: F32 | None = None
         self._limp = False
         self._tilt = math.nan
+        self._hardest = Reaction.NONE
 
     def tick(self, inputs: TickInput) -> TickOutput:
         """Advance by one tick of 20 ms."""
         self.fault = self._latched_fault
         self._tripped = False
         state, estimate = self._sense(inputs)
-        self._take_operator(inputs)
         self._watch_state(inputs, state, estimate)
-        on_hardware = (
-            inputs.state is not None and inputs.state.source == g1_low_state_t.SOURCE_HARDWARE
-        )
-        for request in inputs.requests:
-            self.director.receive(request, inputs.utime, inputs.tick, on_hardware)
+        self._take_operator(inputs)
+        self._take_requests(inputs)
         frame, targets = self._act(inputs, state)
         is_limp = self.mode == control_status_t.ZERO_TORQUE or self._limp
         command = command_for(inputs, targets, is_limp)
@@ -156,17 +153,31 @@ class ControlCore:
 
     def _take_operator(self, inputs: TickInput) -> None:
         for msg in inputs.operator:
-            if msg.command == operator_command_t.ARM and self._latched_fault is None:
-                self._armed = True
+            if msg.command == operator_command_t.ARM:
+                # Not against a fault that is there now: it would only trip again, one tick late.
+                if self._latched_fault is None and self._hardest < Reaction.DAMPING:
+                    self._armed = True
             elif msg.command == operator_command_t.DISARM:
                 self._go_passive("the operator disarmed", control_status_t.DAMPING)
-            elif msg.command == operator_command_t.CLEAR_TRIP and self._latched_fault is not None:
+            elif msg.command == operator_command_t.CLEAR_TRIP and self._may_clear:
                 self.fault = self._latched_fault = None
                 self._limp = False
-                self.safety.reset()
                 self._go_passive("the trip was cleared", control_status_t.DAMPING)
             elif msg.command == operator_command_t.STAND:
                 self.director.book.abort_all("the operator asked to stand")
+
+    @property
+    def _may_clear(self) -> bool:
+        """Whether there is a trip to clear, and nobody presses the emergency stop right now."""
+        return self._latched_fault is not None and self._hardest < Reaction.ESTOP
+
+    def _take_requests(self, inputs: TickInput) -> None:
+        hardware = g1_low_state_t.SOURCE_HARDWARE
+        on_hardware = inputs.state is not None and inputs.state.source == hardware
+        is_passive = self.director.playback is None and not self._get_up.is_moving
+        for request in inputs.requests:
+            reason = "Control is passive; arm it first." if is_passive else ""
+            self.director.receive(request, inputs.utime, inputs.tick, on_hardware, reason)
 
     def _go_passive(self, reason: str, mode: int) -> None:
         self._armed = False
@@ -193,9 +204,12 @@ class ControlCore:
             foreign_states=inputs.foreign_states,
             falling=falling,
             estop=estop_text(inputs.estops),
+            is_active=self.director.playback is not None,
         )
         wants_stand = ""
+        self._hardest = Reaction.NONE
         for raised in self.safety.judge_state(measured, allowed_limits(self.director.playing)):
+            self._hardest = max(self._hardest, raised.fault.reaction)
             self._react(raised, state, inputs.utime)
             if raised.fault.reaction == Reaction.STAND:
                 wants_stand = wants_stand or raised.text

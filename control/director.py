@@ -116,10 +116,20 @@ class Director:
         own = self.playback.skill.manifest
         return (own,) if self.blend is None else (own, self.blend.outgoing.skill.manifest)
 
-    def receive(self, msg: skill_request_t, now: int, tick: int, on_hardware: bool) -> None:
-        """Take one SKILL_REQUEST; every answer is a status."""
+    def receive(
+        self, msg: skill_request_t, now: int, tick: int, on_hardware: bool, refusal: str = ""
+    ) -> None:
+        """Take one SKILL_REQUEST; every answer is a status.
+
+        Args:
+            msg: The request.
+            now: [us].
+            tick: Tick number.
+            on_hardware: Only certified skills may run.
+            refusal: Why nothing may be started now; empty: it may.
+        """
         if msg.operation in (skill_request_t.START, skill_request_t.REPLACE):
-            reason = self._closed_reason
+            reason = refusal or self._closed_reason
             if on_hardware and not reason and msg.skill in self.library:
                 reason = uncertified(self.library[msg.skill].manifest)
             if reason:

@@ -104,7 +104,15 @@ STATE_FAULTS: FaultTable[Reaction] = FaultTable(
             "second_publisher",
             Reaction.DAMPING,
             "A second publisher is on G1_LOW_STATE ({} messages).",
+            raise_after_ticks=5,
             clear_after_ticks=TICKS_PER_S,
+        ),
+        Fault(
+            22,
+            "state_frozen",
+            Reaction.DAMPING,
+            "States arrive, but no number in them changes.",
+            raise_after_ticks=8,
         ),
         Fault(
             20,

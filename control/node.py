@@ -18,6 +18,7 @@ SUBSCRIPTIONS = (
     "ESTOP",
 )
 NEVER_US = 2**31 - 1
+LARGEST_COUNT = 2**31 - 1
 
 
 class ControlNode:
@@ -86,8 +87,8 @@ class ControlNode:
         status = output.status
         status.lateness_us, status.compute_us, status.missed = self._timing()
         counters = self._bus.counters
-        status.states_lost = counters.lost_on("G1_LOW_STATE")
-        status.rejected = counters.rejected
+        status.states_lost = min(counters.lost_on("G1_LOW_STATE"), LARGEST_COUNT)
+        status.rejected = min(counters.rejected, LARGEST_COUNT)
         self._bus.publish("CONTROL_STATUS", status)
         for change in output.changes:
             msg = skill_status_t()

@@ -57,6 +57,7 @@ class SafetyCounters:
         last_utime: Of the previous tick [us]; 0 before the first.
         foreign_states: Messages of a second publisher at the previous tick.
         ticks: Judged so far.
+        content: The measured numbers of the previous tick, as bytes.
         body: What was found at the last look at temperatures, battery and remote.
         remote_seen: The remote has been heard.
         remote_silent_ticks: Since it was last heard.
@@ -68,6 +69,7 @@ class SafetyCounters:
     remote_seen: bool = False
     remote_silent_ticks: int = 0
     ticks: int = 0
+    content: str = ""
     body: dict[str, str] = field(default_factory=dict)
 
 
@@ -84,6 +86,7 @@ class Measured:
         foreign_states: Messages of a second publisher on G1_LOW_STATE so far.
         falling: What says that a fall is coming; empty: nothing does.
         estop: Who asked for an emergency stop, empty: nobody.
+        is_active: A skill plays.
     """
 
     utime: int
@@ -94,6 +97,7 @@ class Measured:
     foreign_states: int = 0
     falling: str = ""
     estop: str = ""
+    is_active: bool = False
 
 
 class SafetyMonitor:
@@ -130,6 +134,7 @@ class SafetyMonitor:
             if not measured.tilt_rad <= limits.tilt_rad:  # also catches a NaN
                 found["tilt"] = f"{measured.tilt_rad:.2f}"
             self._judge_motion(measured.state, measured.msg, limits, found)
+            self._judge_content(measured, measured.state, found)
             if self.counters.ticks % BODY_PERIOD_TICKS == 0:
                 self.counters.body = self._judge_body(measured.msg)
             found.update(self.counters.body)
@@ -185,6 +190,15 @@ class SafetyMonitor:
         for row, (value, limit) in enumerate(zip(most, allowed, strict=True)):
             if not value <= limit:
                 found[MOTION_FAULTS[row]] = self._names[int(used[row].argmax())]
+
+    def _judge_content(
+        self, measured: Measured, state: RobotState, found: dict[str, object]
+    ) -> None:
+        """A robot that stands still still trembles; numbers that do not move are not measured."""
+        content = (state.joint_vel.tobytes() + state.base_ang_vel.tobytes()).hex()
+        if measured.is_active and content == self.counters.content:
+            found["state_frozen"] = ""
+        self.counters.content = content
 
     def _judge_body(self, msg: g1_low_state_t) -> dict[str, str]:
         """Return the faults of what changes slowly: temperatures, battery, remote."""
@@ -253,12 +267,6 @@ class SafetyMonitor:
             RaisedFault(row, row.message.format(found.get(row.name, "")))
             for row in monitor.update(found)
         ]
-
-    def reset(self) -> None:
-        """Forget all counts (after CLEAR_TRIP); the time and the remote stay known."""
-        self._state.reset()
-        self._policy.reset()
-        self.counters.saturated_ticks[:] = 0
 
     def to_state(self) -> dict[str, Any]:
         """Return what is remembered."""

@@ -14,6 +14,7 @@ from downbeat.runtime.bus_types import BusCounters, BusError, Freshness, Receive
 from downbeat.runtime.clock import Clock
 from downbeat.runtime.codec import Codec, CodecError, codec_for
 from downbeat.runtime.errors import one_of
+from downbeat.runtime.sequence import PublisherGuard, Verdict
 
 log = logging.getLogger("downbeat.bus")
 
@@ -21,7 +22,6 @@ KEPT_EVENTS = 4096
 """Messages kept between two takes of an event channel; the oldest go first."""
 KEPT_STATE_S = 2.0
 """The same for channels with a rate, as time; at least 64 messages."""
-KEPT_EPOCHS = 32
 RATE_WINDOW_US = 1_000_000
 RATE_TOLERANCE = 0.9
 HEAD = struct.Struct(">8sqqq")
@@ -55,11 +55,10 @@ class _Subscription:
         "channel",
         "codec",
         "count",
-        "epoch",
         "fingerprint",
         "is_newest_only",
         "judged",
-        "last_seqs",
+        "guard",
         "latest",
         "pending",
         "queue",
@@ -75,8 +74,7 @@ class _Subscription:
         kept = max(64, int(KEPT_STATE_S * channel.rate_hz)) if channel.rate_hz else KEPT_EVENTS
         self.queue: deque[Received] = deque(maxlen=kept)
         self.pending: deque[tuple[bytes, int]] = deque(maxlen=kept)
-        self.epoch = 0
-        self.last_seqs: dict[int, int] = {}
+        self.guard = PublisherGuard(channel)
         self.count = 0
         self.window: tuple[int, int, bool] | None = None
         self.judged: tuple[bool, bool] | None = None
@@ -187,14 +185,13 @@ class Endpoint:
         else, a new publisher above all, is believed only if all of it is valid.
         """
         _fingerprint, _utime, seq, epoch = HEAD.unpack_from(payload)
-        last_seqs = subscription.last_seqs
-        if epoch == subscription.epoch and last_seqs.get(epoch) == seq - 1:
-            last_seqs[epoch] = seq
-        elif self._decode(subscription, payload) is None or not self._in_sequence(
-            subscription, epoch, seq
+        utime = self.clock.utime()
+        if not subscription.guard.is_next(epoch, seq, utime) and (
+            self._decode(subscription, payload) is None
+            or not self._in_sequence(subscription, epoch, seq)
         ):
             return
-        subscription.pending.append((payload, self.clock.utime()))
+        subscription.pending.append((payload, utime))
         subscription.count += 1
 
     def _judge_pending(self, subscription: _Subscription) -> None:
@@ -210,30 +207,22 @@ class Endpoint:
                 subscription.count -= 1
 
     def _in_sequence(self, subscription: _Subscription, epoch: int, seq: int) -> bool:
-        """Follow sequence numbers per epoch; refuse duplicates and a second publisher."""
-        last_seqs = subscription.last_seqs
-        last = last_seqs.get(epoch)
+        """Follow sequence numbers and publishers; count and say what is wrong."""
+        verdict, lost = subscription.guard.judge(epoch, seq, self.clock.utime())
         channel = subscription.channel.name
-        if last is None:
-            subscription.epoch = epoch
-            if len(last_seqs) >= KEPT_EPOCHS:
-                last_seqs.pop(next(iter(last_seqs)))
-        elif seq <= last:
-            total = self.counters.add_rejected(channel)
-            if _is_power_of_two(total):
-                log.warning("rejected %d on %s: seq %d came after %d", total, channel, seq, last)
-            return False
-        elif seq > last + 1:
-            total = self.counters.add_lost(channel, seq - last - 1)
-            log.debug("lost %d on %s", total, channel)
-        last_seqs[epoch] = seq
-        if epoch != subscription.epoch and len(subscription.channel.publishers) > 0:
-            # An epoch that was replaced by a newer one still talks: two publishers.
+        if verdict is Verdict.GOOD:
+            if lost:
+                log.debug("lost %d on %s", self.counters.add_lost(channel, lost), channel)
+            return True
+        if verdict is Verdict.FOREIGN:
             total = self.counters.add_foreign(channel)
             if _is_power_of_two(total):
                 log.error("second publisher on %s: %d messages dropped", channel, total)
             return False
-        return True
+        total = self.counters.add_rejected(channel)
+        if _is_power_of_two(total):
+            log.warning("rejected %d on %s: seq %d is %s", total, channel, seq, verdict.value)
+        return False
 
     def latest(self, channel: str) -> Received | None:
         """Return the last valid message; see `Bus.latest`."""

@@ -109,6 +109,7 @@ class WorldNode:
         """Publish the state; ask, or look for the answer."""
         self._state.header.utime = utime
         self._state.tick += 1
+        self._state.imu_pelvis.gyro[:] = 1e-4 * (self._state.tick % 7)  # a real one trembles
         self._sim.publish("G1_LOW_STATE", self._state)
         self._conductor.pump()
         for received in self._conductor.take("CONTROL_STATUS"):

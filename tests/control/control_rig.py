@@ -27,7 +27,7 @@ class Rig:
         state = g1_low_state_t()
         state.header.utime = self.now
         state.imu_pelvis.quat = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
-        state.imu_pelvis.gyro = np.zeros(3, np.float32)
+        state.imu_pelvis.gyro = np.full(3, 1e-4 * (self.tick_number % 7), np.float32)  # it trembles
         state.imu_pelvis.accel = np.array([0.0, 0.0, 9.81], np.float32)
         state.battery_soc = float("nan")
         state.joint_pos = np.asarray(load_g1().default_joint_pos, np.float32)

@@ -48,6 +48,13 @@ class Pair:
                 return
         raise AssertionError(f"{taken} of {count} messages came")
 
+    def wait(self, seconds):
+        """Let the clock of the bus go on."""
+        if isinstance(self.clock, SimClock):
+            self.clock.advance_to(self.clock.utime() + round(seconds * 1e6))
+        else:
+            time.sleep(seconds)
+
 
 @pytest.fixture(params=["memq", "udpm"])
 def pair_of(request):
@@ -146,7 +153,7 @@ def test_newest_only_still_sees_gaps_and_a_second_publisher(pair_of):
     counters = pair.receiver.counters
     assert counters.lost_on("G1_LOW_STATE") == 2
     assert counters.foreign_on("G1_LOW_STATE") == 1
-    assert pair.receiver.latest("G1_LOW_STATE").msg.header.epoch == 2
+    assert pair.receiver.latest("G1_LOW_STATE").msg.header.epoch == 1
 
 
 def test_gaps_are_counted_as_lost_and_a_new_epoch_starts_over(pair_of):
@@ -159,9 +166,13 @@ def test_gaps_are_counted_as_lost_and_a_new_epoch_starts_over(pair_of):
         msg.header.epoch, msg.header.seq = epoch, seq
         pair.inject("G1_LOW_CMD", codec.encode(msg))
 
-    for epoch, seq in [(5, 10), (5, 11), (5, 15), (5, 15), (5, 14), (6, 0), (6, 1)]:
+    for epoch, seq in [(5, 10), (5, 11), (5, 15), (5, 15), (5, 14)]:
         inject(epoch, seq)
-    pair.pump(7)
+    pair.pump(5)
+    pair.wait(0.12)  # the first publisher is dead for longer than the channel may be stale
+    for epoch, seq in [(6, 0), (6, 1)]:
+        inject(epoch, seq)
+    pair.pump(2)
     assert pair.receiver.counters.lost_on("G1_LOW_CMD") == 3
     assert pair.receiver.counters.lost == 3
     assert pair.receiver.counters.rejected_on("G1_LOW_CMD") == 2
@@ -182,7 +193,7 @@ def test_second_publisher_is_a_fault_and_its_messages_are_dropped(pair_of):
     assert counters.foreign_on("G1_LOW_CMD") == 2
     assert counters.foreign_channels == ("G1_LOW_CMD",)  # anybody may publish HEARTBEAT
     epochs = [r.msg.header.epoch for r in pair.receiver.take("G1_LOW_CMD")]
-    assert epochs == [5, 6, 6]
+    assert epochs == [5, 5, 5]  # the first stays: nobody takes a robot over by talking louder
     assert len(pair.receiver.take("HEARTBEAT")) == 5
 
 
