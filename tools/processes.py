@@ -69,7 +69,8 @@ def run_process(name: str, args: ProcessArgs) -> int:
     if name == "recorder":
         from downbeat.runtime.log import RecorderNode
 
-        run_node(RecorderNode(url, clock, show.folder / "run.lcmlog"), clock)
+        recorder = RecorderNode(url, clock, show.folder / "run.lcmlog")
+        run_node(recorder, clock, open_udpm(url, clock, name))
         return 0
     bus = open_udpm(url, clock, name)
     starters = {"sim": _sim, "control": _control, "listener": _listener, "conductor": _conductor}
@@ -91,7 +92,8 @@ def _control(show: Show, bus: Bus, clock: WallClock) -> int:
     journal = ControlJournal(show.folder / JOURNAL_NAME, show, core)
     keeper = RateKeeper(clock, 20_000)
     node = make_control(show, bus, journal.record, keeper.timing, core)
-    _announce(node.name, configure_real_time(CONTROL_PRIORITY))
+    cpu = None if show.config.control_cpu < 0 else show.config.control_cpu
+    _announce(node.name, configure_real_time(CONTROL_PRIORITY, cpu=cpu))
     try:
         run_node(node, clock, bus, rate=keeper)
     finally:

@@ -33,6 +33,7 @@ class ShowConfig:
         skills: Folder of skills, empty: the bundled ones.
         imported: Folder of further skills, as `downbeat policy import` writes them.
         fallback: The skill that catches a fall; empty: the best of our own.
+        control_cpu: Processor that control keeps to, -1: any.
         seed: Of the plant's noise.
         sensor_noise: Whether the plant's sensors are noisy.
         command_delay_us: From a command to its effect on the motors [us].
@@ -45,6 +46,7 @@ class ShowConfig:
     skills: str = ""
     imported: str = ""
     fallback: str = ""
+    control_cpu: int = -1
     seed: int = 0
     sensor_noise: bool = True
     command_delay_us: int = 4_000
