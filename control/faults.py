@@ -35,7 +35,7 @@ STATE_FAULTS: FaultTable[Reaction] = FaultTable(
             2,
             "state_stale",
             Reaction.DAMPING,
-            "G1_LOW_STATE is {} ms old, at most 80 are allowed.",
+            "G1_LOW_STATE is {} ms old, at most 70 are allowed.",
         ),
         Fault(5, "tilt", Reaction.DAMPING, "The pelvis is tilted by {} rad.", raise_after_ticks=3),
         Fault(

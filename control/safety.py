@@ -22,8 +22,8 @@ from downbeat.policies.manifest import SkillLimits
 from downbeat.runtime.faults import Fault, FaultMonitor
 
 STATE_LATE_US = 30_000
-STATE_STALE_US = 80_000
-"""Noticed at the next tick: damping goes out at most 100 ms after the last state."""
+STATE_STALE_US = 70_000
+"""Noticed at the next tick: damping goes out at most 90 ms after the last state."""
 STATE_AHEAD_US = 50_000
 CLOCK_STEP_US = 1_000_000
 MOTOR_WARM_C, MOTOR_HOT_C = 85, 105

@@ -12,9 +12,10 @@ from enum import Enum
 from downbeat.lcm_types.channels import Channel
 
 KEPT_EPOCHS = 32
-LEAP_S = 60.0
-LEAST_LEAP = 1000
-"""A sequence number this far ahead is damage, not loss, unless the next message agrees with it."""
+LEAP_S = 0.1
+LEAST_LEAP = 10
+EVENT_LEAP = 1000
+"""A sequence number farther ahead than this is damage, not loss, unless the next message agrees."""
 
 
 class Verdict(Enum):
@@ -38,7 +39,8 @@ class PublisherGuard:
         self.epoch = 0
         self._is_open = not channel.publishers
         self._patience_us = round(channel.stale_after_s * 1e6) if channel.rate_hz else -1
-        self._max_leap = max(LEAST_LEAP, round(LEAP_S * channel.rate_hz))
+        paced = max(LEAST_LEAP, round(LEAP_S * channel.rate_hz))
+        self._max_leap = paced if channel.rate_hz else EVENT_LEAP
         self._last_seqs: dict[int, int] = {}
         self._leap: tuple[int, int] = (0, 0)
         self._heard = 0
@@ -66,8 +68,8 @@ class PublisherGuard:
         if last is not None and seq > last + 1:
             lost = seq - last - 1
             if lost > self._max_leap:
-                expected, self._leap = self._leap, (epoch, seq + 1)
-                if expected != (epoch, seq):
+                (same, expected), self._leap = self._leap, (epoch, seq + 1)
+                if same != epoch or not 0 <= seq - expected <= self._max_leap:
                     return Verdict.LEAP, 0
         if last is None and len(self._last_seqs) >= KEPT_EPOCHS:
             self._last_seqs.pop(next(iter(self._last_seqs)))
