@@ -22,7 +22,7 @@ from downbeat.policies.importers.package import (
     staging,
     write_skill,
 )
-from downbeat.policies.manifest import SkillManifest, file_sha256, load_manifest
+from downbeat.policies.manifest import SkillManifest, file_sha256, load_manifest, load_skills
 from downbeat.policies.toml_edit import set_files
 from downbeat.tools.policy_inspect import print_policy
 
@@ -43,7 +43,8 @@ def import_policy(
     Raises:
         DownbeatError: One sentence: what is missing or contradicts, and what would be valid.
     """
-    ctx = ImportContext(path, name or skill_name(path.resolve()), profile, parse_settings(settings))
+    chosen = name or _own_name(path.resolve())
+    ctx = ImportContext(path, chosen, profile, parse_settings(settings))
     with _bounded_memory():
         draft = read_policy(ctx)
     with _bounded_memory(), staging(out, ctx.name, source_of(ctx)) as folder:
@@ -56,6 +57,12 @@ def import_policy(
         )
         verify_golden(NetworkSkill(load_manifest(folder / "manifest.toml")))
     return load_manifest(out / ctx.name / "manifest.toml")
+
+
+def _own_name(path: Path) -> str:
+    """Return a name that none of our own skills has: an import must not replace one unasked."""
+    name = skill_name(path)
+    return f"imported_{name}" if name in load_skills() else name
 
 
 @contextmanager

@@ -345,3 +345,9 @@ def test_folder_with_several_policies_lists_them(tmp_path):
         made.mjlab_velocity(tmp_path / "many" / f"{name}.onnx")
     with pytest.raises(PolicyError, match="name one of a.onnx, b.onnx"):
         import_policy(tmp_path / "many", tmp_path / "out")
+
+
+def test_import_does_not_replace_one_of_our_skills_unasked(tmp_path):
+    path = made.mjlab_velocity(tmp_path / "waltz.onnx")
+    assert import_policy(path, tmp_path / "out").name == "imported_waltz"
+    assert import_policy(path, tmp_path / "out", name="waltz").name == "waltz"
