@@ -32,7 +32,12 @@ from downbeat.runtime.node import run_node
 from downbeat.runtime.rate import RateKeeper
 from downbeat.runtime.realtime import RealTimeReport, configure_real_time
 from downbeat.runtime.usage import own_usage
-from downbeat.tools.bench_control_world import STATE_PERIOD_US, BenchSettings, standing_state
+from downbeat.tools.bench_control_world import (
+    STATE_PERIOD_US,
+    BenchSettings,
+    standing_state,
+    tremble,
+)
 from downbeat.tools.control_journal import JOURNAL_NAME, ControlJournal
 from downbeat.tools.show import Show, ShowConfig, make_control
 
@@ -167,6 +172,7 @@ class WarmStage:
         for _ in range(TICK_US // STATE_PERIOD_US):
             self._clock.advance_to(self._clock.utime() + STATE_PERIOD_US)
             self._state.header.utime = self._clock.utime()
+            tremble(self._state, self._clock.utime())
             self._sim.publish("G1_LOW_STATE", self._state)
         before = time.perf_counter_ns()
         self._node.step(self._clock.utime())

@@ -80,6 +80,11 @@ def standing_state() -> Any:
     return msg
 
 
+def tremble(state: Any, utime: int) -> None:
+    """Move the gyro a little: a robot whose numbers stand still is taken for dead."""
+    state.imu_pelvis.gyro[:] = 1e-4 * (utime // STATE_PERIOD_US % 7)
+
+
 class WorldNode:
     """Node "sim" of the bench; every request it makes ends up in `answers`."""
 
@@ -109,7 +114,7 @@ class WorldNode:
         """Publish the state; ask, or look for the answer."""
         self._state.header.utime = utime
         self._state.tick += 1
-        self._state.imu_pelvis.gyro[:] = 1e-4 * (self._state.tick % 7)  # a real one trembles
+        tremble(self._state, utime)
         self._sim.publish("G1_LOW_STATE", self._state)
         self._conductor.pump()
         for received in self._conductor.take("CONTROL_STATUS"):
