@@ -229,6 +229,24 @@ def test_bad_action_is_never_sent_and_the_robot_stands(rig, value, name):
     assert rig.log[-1].status.mode == control_status_t.STAND
 
 
+def test_observation_that_is_not_finite_hands_over_in_the_same_tick(rig):
+    rig.tick(requests=(rig.request("kpop"),))
+    rig.run(1.5)
+    playback = rig.core.director.playback
+
+    class Blind(Broken):
+        def step(self, memory, state, phase_s, command):
+            output = self._skill.step(memory, state, phase_s, command)
+            output.obs[7] = self._value
+            return output
+
+    playback.skill = Blind(playback.skill, np.nan)
+    output = rig.tick()
+    assert output.status.fault == ROWS["non_finite_observation"].id
+    assert output.status.mode == control_status_t.FALLBACK
+    assert output.command.mode == g1_low_cmd_t.MODE_POSITION
+
+
 def test_broken_balance_policy_leads_to_damping(rig, monkeypatch):
     playback = rig.core.director.playback
     library = rig.core.director.library
