@@ -222,14 +222,15 @@ def test_points_are_inside_or_outside_of_a_hull():
     assert math.isnan(signed_distance((0.0, 0.0), []))
 
 
-def test_cost_of_an_update_is_printed(recorded, capsys):
-    """Only printed: time on a shared machine is no claim."""
+def test_every_update_of_a_dance_is_finite(recorded, capsys):
+    """Its cost is printed only: time on a shared machine is no claim."""
     estimator = StateEstimator()
     times_us = []
     for sample in recorded["discostep"]:
         measured = [array.tolist() for array in inputs(sample)]
         start = time.perf_counter_ns()
-        estimator.update(*measured)
+        estimate = estimator.update(*measured)
         times_us.append((time.perf_counter_ns() - start) * 1e-3)
+        assert math.isfinite(estimate.step_margin) and math.isfinite(estimate.base_height)
     with capsys.disabled():
         print(f"  update: p50 {np.median(times_us):.0f} us", end="")
