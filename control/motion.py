@@ -70,6 +70,11 @@ class Motion:
         self._anchor_quat = tables["anchor_quat"]  # (T, 4)
 
     @property
+    def tables(self) -> tuple[F32, F32, F32, F32]:
+        """joint_pos (T, n), joint_vel (T, n), anchor_pos (T, 3), anchor_quat (T, 4)."""
+        return self._joint_pos, self._joint_vel, self._anchor_pos, self._anchor_quat
+
+    @property
     def duration_s(self) -> float:
         """Length [s]."""
         return self.spec.rows / self.spec.rate_hz
