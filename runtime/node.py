@@ -125,7 +125,7 @@ def run_node(
     steps = 0
     if heartbeat is not None:
         heartbeat.publish(clock.utime(), heartbeat_t.STARTING)
-    with _stop_signals() as is_signalled:
+    with stop_signals() as is_signalled:
         try:
             while not is_signalled():
                 utime = keeper.wait()
@@ -145,7 +145,7 @@ def run_node(
 
 
 @contextmanager
-def _stop_signals() -> Iterator[Callable[[], bool]]:
+def stop_signals() -> Iterator[Callable[[], bool]]:
     """Turn SIGTERM and SIGINT into a flag, so that a step is never cut in the middle."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():

@@ -169,6 +169,10 @@ class UdpmBus(Endpoint):
             timeout_ms = 0
         return taken
 
+    def fileno(self) -> int:
+        """Return the descriptor that is readable while messages of the main group wait."""
+        return int(self._links["main"].fileno())
+
     def close(self) -> None:
         """Leave the groups."""
         self._links.clear()
