@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 
 from downbeat.runtime.errors import DownbeatError
-from downbeat.tools.commands import catalog, evaluate, operate, policy, processes, show
+from downbeat.tools.commands import catalog, evaluate, operate, policy, processes, robot, show
 
 sub = tyro.conf.subcommand
 
@@ -26,6 +26,7 @@ Command = (
     | Annotated[processes.Conduct, sub("conduct")]
     | Annotated[processes.Control, sub("control")]
     | Annotated[processes.Record, sub("record")]
+    | Annotated[robot.Bridge, sub("bridge")]
     | Annotated[operate.Ask, sub("ask")]
     | Annotated[operate.Stop, sub("stop")]
     | Annotated[operate.Replay, sub("replay")]
