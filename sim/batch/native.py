@@ -41,6 +41,12 @@ Ids = NDArray[np.int64]
 NOISE_WIDTH = 3 + 3 + NUM_JOINTS + NUM_JOINTS + 3
 """Orientation, gyro, joint positions, joint velocities, base velocity."""
 FALLEN_BELOW_M = 0.5
+SETTLE_TICKS = 25
+SETTLED_ERROR_RAD = 0.035
+SETTLED_MARGIN_M = 0.045
+"""Of 28 robots that fell between 2 and 6 s after a change, one had both an RMS joint error and a
+capture point this good over the half second before 2 s, and so had 88 % of the 4,109 that stayed up.
+"""
 
 
 class NativeEngine:
@@ -74,6 +80,7 @@ class NativeEngine:
         seed: tuple[int, ...],
         watch: Watch | None = None,
         last_tick: int | None = None,
+        settle_tick: int | None = None,
     ) -> Outcome:
         """Simulate; see `Engine`.
 
@@ -84,6 +91,7 @@ class NativeEngine:
             seed: Of the sensor noise.
             watch: Sees every tick.
             last_tick: Stop before this tick; None: play the whole script.
+            settle_tick: From here on robots that have calmed down are not simulated further.
         """
         if start.count not in self._batches:
             self._batches = {start.count: _Simulations(start.count, self.threads)}
@@ -96,6 +104,8 @@ class NativeEngine:
             if not len(run.ids):
                 break
             run.tick(tick)
+            if settle_tick is not None and tick >= settle_tick:
+                run.release_settled(tick - settle_tick)
         return run.outcome()
 
 
@@ -173,6 +183,7 @@ class _Run:
         self._max_ratio = np.zeros(start.count, np.float32)
         self._min_margin = np.full(start.count, np.inf, np.float32)
         self._error = np.zeros(start.count, np.float32)
+        self._recent = np.full((2, SETTLE_TICKS, start.count), np.nan, np.float32)
 
     # ------------------------------------------------------------------ one tick
 
@@ -283,12 +294,25 @@ class _Run:
         self._max_tilt[ids] = np.fmax(self._max_tilt[ids], lean)
         ratio = np.abs(sims.torque[ids]) / model_ids().torque_limit
         self._max_ratio[ids] = np.fmax(self._max_ratio[ids], ratio.max(axis=1))
-        self._min_margin[ids] = np.fmin(self._min_margin[ids], self._margin(ids))
+        margin = self._margin(ids)
+        self._min_margin[ids] = np.fmin(self._min_margin[ids], margin)
         error = qpos[:, 7:] - reference
         self._error[ids] = np.sqrt(np.mean(error * error, axis=1))
+        row = tick % SETTLE_TICKS
+        self._recent[0, row, ids], self._recent[1, row, ids] = self._error[ids], margin
         if down.any():
             self._fell_tick[ids[down]] = tick
             self._keep(~down)
+
+    def release_settled(self, ticks: int) -> None:
+        """Every half a second, let go of the robots that have calmed down."""
+        if ticks % SETTLE_TICKS:
+            return
+        error, margin = self._recent[:, :, self.ids]
+        rms = np.sqrt(np.mean(error * error, axis=0))
+        settled = (rms <= SETTLED_ERROR_RAD) & (margin.min(axis=0) >= SETTLED_MARGIN_M)
+        if settled.any():
+            self._keep(~settled)
 
     def _margin(self, ids: Ids) -> F64:
         sims, feet = self._sims, list(model_ids().feet)
