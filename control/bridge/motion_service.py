@@ -27,7 +27,7 @@ class MotionService:
         self._unanswered = 0
         self.active: str | None = None
         """Name of the active motion service, empty: none, None: not known."""
-        self.releases = 0
+        self._has_released = False
 
     def update(self, utime: int, release: bool) -> None:
         """Take answers, and ask what is due at `utime` [us].
@@ -48,8 +48,10 @@ class MotionService:
                 self.active = "" if is_absent else None
         if utime < self._next_utime:
             return
-        self._next_utime = utime + PERIOD_US
-        if release and self.active:
-            self.releases += 1
+        # One request at a time: a service that keeps the last one only would lose the first.
+        self._next_utime = utime + PERIOD_US // 2
+        if release and self.active and not self._has_released:
             self._service.call(RELEASE_MODE)
-        self._service.call(CHECK_MODE)
+        else:
+            self._service.call(CHECK_MODE)
+        self._has_released = release and not self._has_released
