@@ -128,6 +128,21 @@ class Bus(Protocol):
         """
         ...
 
+    def publish_encoded(self, channel: str, payload: bytearray) -> int:
+        """Publish a message whose bytes the caller has made, header.utime included.
+
+        Args:
+            channel: Name in the channel table.
+            payload: The whole message; header.seq and header.epoch are written into it.
+
+        Returns:
+            The sequence number.
+
+        Raises:
+            BusError: Unknown channel, or this process is not its publisher.
+        """
+        ...
+
     def subscribe(self, *channels: str) -> None:
         """Receive channels from now on.
 

@@ -26,6 +26,7 @@ RATE_WINDOW_US = 1_000_000
 RATE_TOLERANCE = 0.9
 HEAD = struct.Struct(">8sqqq")
 """Every message: fingerprint, then the header's utime, seq, epoch."""
+SEQ_EPOCH, SEQ_OFFSET = struct.Struct(">qq"), 16
 
 
 def channel_named(name: str) -> Channel:
@@ -115,6 +116,20 @@ class Endpoint:
             self.tap(channel, payload)
         self._next_seqs[channel] = seq + 1
         self._send(channel, payload)
+        return seq
+
+    def publish_encoded(self, channel: str, payload: bytearray) -> int:
+        """Stamp and send a message that is encoded already; see `Bus.publish_encoded`."""
+        seq = self._next_seqs.get(channel)
+        if seq is None:
+            self._check_publisher(channel)
+            seq = 0
+        SEQ_EPOCH.pack_into(payload, SEQ_OFFSET, seq, self.epoch)
+        encoded = bytes(payload)
+        if self.tap is not None:
+            self.tap(channel, encoded)
+        self._next_seqs[channel] = seq + 1
+        self._send(channel, encoded)
         return seq
 
     def _check_publisher(self, channel: str) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from downbeat.control.bridge.core import BridgeCore
 from downbeat.control.bridge.dds_config import LOOPBACK, port_clash
 from downbeat.control.bridge.loop import robot_topics, run_bridge
-from downbeat.control.bridge.node import BridgeNode
+from downbeat.control.bridge.node import BridgeNode, WakeOnLcm
 from downbeat.control.bridge.settings import BridgeSettings
 from downbeat.control.bridge.stages import Stage
 from downbeat.runtime.bus import DEFAULT_URL, open_udpm, parse_udpm_url
@@ -88,11 +88,13 @@ def bridge(options: BridgeOptions) -> int:
     core = BridgeCore(settings or BridgeSettings(), lenient, options.auto)
     node = BridgeNode(bus, robot_topics(link, lenient), core, say)
     extras = _extras(options, link, bus, node)
+    waker = WakeOnLcm(bus.fileno(), link)
+    waker.start()
     for message in configure_real_time(BRIDGE_PRIORITY).messages:
         say(message)
     patience = _Patience(core, options.patience_s)
     with stop_signals() as is_signalled:
-        run_bridge(node, bus, link, lambda: is_signalled() or patience.is_over(), extras)
+        run_bridge(node, bus, waker, lambda: is_signalled() or patience.is_over(), extras)
     say(summary(node))
     if patience.has_given_up:
         say(f"gave up: {core.missing(clock.utime())}.{_hint(link, core)}")

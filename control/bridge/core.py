@@ -75,6 +75,7 @@ class BridgeCore:
         self._frame = LowCmdFrame()
         self._command: Any = None
         self._valid_until = 0
+        self._held: bytes | None = None
         self._since = 0
         self._started = 0
         self._foreign_utime = 0
@@ -88,10 +89,10 @@ class BridgeCore:
     # ------------------------------------------------------------------ inputs
 
     def take_state(self, payload: bytes, utime: int) -> bool:
-        """Take a LowState; returns whether it is good and `decoder.msg` holds it."""
+        """Take a LowState; returns whether it is good and `decoder` speaks of it."""
         if not self.decoder.take(payload):
             return False
-        self.watch.take_state(self.decoder.msg, utime)
+        self.watch.take_state(self.decoder, utime)
         if self.watch.is_confirmed:
             self.confirm(utime)
         return True
@@ -101,7 +102,7 @@ class BridgeCore:
         if abs(msg.header.utime - utime) > OTHER_TIME_US:
             self.commands_refused += 1
             return
-        self._command = msg
+        self._command, self._held = msg, None
         self._valid_until = min(msg.valid_until_utime, utime + MAX_VALID_US)
 
     def take_estop(self, msg: estop_t, utime: int) -> None:
@@ -141,7 +142,7 @@ class BridgeCore:
 
     def hindrance(self, utime: int) -> str:
         """Say why the next step cannot be confirmed yet; empty: it can."""
-        tilt = tilt_of(self.decoder.msg.imu_pelvis.quat)
+        tilt = tilt_of(self.decoder.quat_wxyz)
         if self.stage in (Stage.DAMPING, Stage.TO_POSE) and tilt > MAX_TILT_RAD:
             return f"the robot leans by {tilt:.1f} rad, lift it"
         if self.stage is Stage.TO_POSE and not self._ramp.is_over(utime):
@@ -213,7 +214,7 @@ class BridgeCore:
             and command.header.utime > self._armed_utime
             and utime < self._valid_until
         ):
-            jump = np.abs(command.joint_pos_target - self.decoder.msg.joint_pos)
+            jump = np.abs(command.joint_pos_target - self.decoder.joint_pos)
             worst = int(jump.argmax())
             if jump[worst] <= self.settings.handover_rad:
                 self._go(Stage.ACTIVE, utime)
@@ -238,10 +239,10 @@ class BridgeCore:
 
     def _go(self, stage: Stage, utime: int) -> None:
         if stage is Stage.TO_POSE:
-            self._ramp.begin(self.decoder.msg.joint_pos, utime)
+            self._ramp.begin(self.decoder.joint_pos, utime)
         if stage is Stage.HANDOVER:
             self._armed_utime, self._arm_sent = utime, 0
-        self.stage, self._since = stage, utime
+        self.stage, self._since, self._held = stage, utime, None
 
     def _trip(self, row: Any, text: str, utime: int, tell: bool = True) -> None:
         """Go to damping for good, and tell control."""
@@ -274,7 +275,9 @@ class BridgeCore:
         """Return the LowCmd for this moment; None while the robot must not be commanded."""
         if self.stage in SILENT:
             return None
-        frame, measured = self._frame, self.decoder.msg.joint_pos
+        if self.stage is Stage.ACTIVE and self._held is not None:
+            return self._held  # the same command again: nothing in it changes
+        frame, measured = self._frame, self.decoder.joint_pos
         frame.set_mode_machine(self.decoder.mode_machine)
         if self.stage is Stage.ZERO_TORQUE or (self._is_limp and self.stage is Stage.TRIPPED):
             frame.zero_torque(measured)
@@ -292,11 +295,13 @@ class BridgeCore:
                 command.joint_stiffness,
                 command.joint_damping,
             )
+            self._held = frame.payload()
+            return self._held
         else:
             frame.damping(self.settings.damping, measured)
         return frame.payload()
 
     def _send_position(self, q: Any, dq: Any, tau: Any, kp: Any, kd: Any) -> None:
         if not self.first_jump_rad >= 0.0:  # NaN: none was sent yet
-            self.first_jump_rad = float(np.abs(q - self.decoder.msg.joint_pos).max())
+            self.first_jump_rad = float(np.abs(q - self.decoder.joint_pos).max())
         self._frame.position(q, dq, tau, kp, kd)

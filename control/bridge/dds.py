@@ -7,6 +7,7 @@ wants the tree: readers hand out the bytes as they came, writers take bytes, and
 
 from __future__ import annotations
 
+import ctypes
 import time
 from typing import Any
 
@@ -25,6 +26,7 @@ from cyclonedds.core import (
     WaitSet,
 )
 from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.internal import DDS
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -33,6 +35,10 @@ from cyclonedds.topic import Topic
 from downbeat.control.bridge.dds_config import DdsError, check_domain, domain_config
 
 ANY_STATE = int(SampleState.Any | ViewState.Any | InstanceState.Any)
+_WAIT: Any = ctypes.CFUNCTYPE(
+    ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int64
+)(("dds_waitset_wait", DDS._dll_handle))
+"""The library's own `wait` without its checks of arguments: 500 calls a second."""
 KEPT_SAMPLES = 32
 """A reader keeps this many: 64 ms of states, so that a gap is a gap and not our own delay."""
 MAX_TAKE = 64
@@ -113,6 +119,8 @@ class Link:
         self._waitset: Any = WaitSet(self.participant)
         self._guard: Any = GuardCondition(self.participant)
         self._waitset.attach(self._guard)
+        self.was_woken = False
+        self._is_set = False
         self._publications: Any = None
         self._own_key = str(self.participant.guid)
 
@@ -130,12 +138,15 @@ class Link:
 
     def wait(self, timeout_s: float) -> None:
         """Wait until a reader has something, somebody calls `wake`, or the time is over."""
-        if timeout_s > 0.0:
-            self._waitset.wait(int(timeout_s * 1e9))
-        self._guard.set(False)
+        if timeout_s > 0.0 and not self._is_set:
+            _WAIT(self._waitset._ref, None, 0, int(timeout_s * 1e9))
+        if self._is_set:
+            self._is_set = False
+            self._guard.set(False)
 
     def wake(self) -> None:
         """End a `wait`; may be called from another thread."""
+        self.was_woken = self._is_set = True
         self._guard.set(True)
 
     def publishers_of(self, topic: str) -> int:

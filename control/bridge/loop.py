@@ -53,7 +53,7 @@ def robot_topics(link: Any, lenient: bool) -> RobotTopics:
 def run_bridge(
     node: BridgeNode,
     bus: Any,
-    waiter: Any,
+    waker: WakeOnLcm,
     is_stopped: Callable[[], bool],
     extra: Callable[[int], None] | None = None,
 ) -> None:
@@ -62,15 +62,13 @@ def run_bridge(
     Args:
         node: The process.
         bus: Its LCM endpoint.
-        waiter: What the loop waits on.
+        waker: Started; before the process became a real-time one, so that it is one too.
         is_stopped: Whether somebody wants it to end.
         extra: Called after every cycle with the time [us]: compatibility, lights.
     """
     clock = bus.clock
     heartbeat = Heartbeat(bus, node.name, node.period_us)
     heartbeat.publish(clock.utime(), heartbeat_t.STARTING)
-    waker = WakeOnLcm(bus.fileno(), waiter)
-    waker.start()
     core: BridgeCore = node.core
     described: Any = node
     try:

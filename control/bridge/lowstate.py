@@ -1,28 +1,37 @@
-"""LowState as bytes: what a robot reports in, G1_LOW_STATE out, and everything wrong named."""
+"""LowState as bytes: what a robot reports in, G1_LOW_STATE bytes out, everything wrong named."""
 
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from downbeat.control.bridge.crc import crc32_words
 from downbeat.control.bridge.layout import (
     LITTLE_ENDIAN_HEADS,
-    NUM_SLOTS,
     STATE_BYTES,
     STATE_CRC,
-    STATE_FIRST_MOTOR,
-    STATE_HEAD,
-    STATE_MOTOR,
     STATE_REMOTE,
     state_image,
 )
 from downbeat.control.bridge.lowcmd import NUM_JOINTS
+from downbeat.control.bridge.state_map import (
+    FAULT_WORDS,
+    FLOAT_WORDS,
+    HEAT_HALVES,
+    IMU_NUMBERS,
+    gather_index,
+    offsets,
+)
 from downbeat.control.bridge.tick_guard import TickGuard, TickVerdict
 from downbeat.lcm_types import g1_low_state_t, imu_t
+from downbeat.runtime.codec import codec_for
+
+F32 = npt.NDArray[np.float32]
 
 MODE_MACHINES = {
     0: "simulation",
@@ -36,11 +45,13 @@ MODE_MACHINES = {
 }
 OURS = 5
 """mode_machine of the 29 dof robot, rev 1.0: the one that the model and the skills are made for."""
-LIMITS = np.array([[10.0], [200.0], [1e3]], np.float32)
-"""[rad], [rad/s], [N m] as in `runtime/field_rules.py`; beyond is damage, not a measurement."""
-IMU_LIMIT = 1e4
+_JOINT_LIMITS = np.repeat(np.array([10.0, 200.0, 1e3], np.float32), NUM_JOINTS)
+_IMU_LIMITS = np.array([1.01] * 4 + [200.0] * 3 + [1e4] * 3 + [6.3] * 3, np.float32)
+LIMITS = np.concatenate([_JOINT_LIMITS, _IMU_LIMITS])
+"""(100,) as in `runtime/field_rules.py`; beyond is damage, not a measurement."""
+_IMU_FROM = 3 * NUM_JOINTS
 QUATERNION_TOLERANCE = 0.01
-IMU_BYTES = 4 + 13 * 4 + 2
+IMU_BYTES = 4 + IMU_NUMBERS * 4 + 2
 
 BAD_LENGTH = "wrong length"
 BAD_ENCODING = "wrong encapsulation"
@@ -76,7 +87,7 @@ class StateCounters:
 
 
 class StateDecoder:
-    """Reads LowState bytes into one reused G1_LOW_STATE message."""
+    """Judges LowState bytes and turns the newest good one into G1_LOW_STATE bytes."""
 
     def __init__(self, lenient: bool = False) -> None:
         """Prepare.
@@ -86,41 +97,56 @@ class StateDecoder:
                 of zero means "not filled in". A robot fills them in.
         """
         self.counters = StateCounters()
-        self.msg = new_state()
         self.mode_machine = 0
-        self.mode_seen: int | None = None
+        self.battery_soc = math.nan
         self._lenient = lenient
         self._ticks = TickGuard()
-        self._values = np.zeros((3, NUM_JOINTS), np.float32)
-        self._magnitude = np.zeros((3, NUM_JOINTS), np.float32)
+        self._tick = 0
+        self._index = gather_index()
+        self._places = offsets()
+        blank = codec_for(g1_low_state_t).encode(_blank_state())
+        # The robot's bytes, and behind them a message that supplies all the others.
+        self._space = np.zeros(STATE_BYTES + len(blank), np.uint8)
+        self._space[STATE_BYTES:] = np.frombuffer(blank, np.uint8)
+        self._words: npt.NDArray[np.uint32] = self._space[:STATE_BYTES].view("<u4")
+        self._floats = self._space[:STATE_BYTES].view("<f4")
+        self._halves: npt.NDArray[np.int16] = self._space[:STATE_BYTES].view("<i2")
+        self._candidate = np.zeros(len(LIMITS), np.float32)
+        self._magnitude = np.zeros(len(LIMITS), np.float32)
+        self._good = np.zeros(len(LIMITS), np.float32)
+        self.joint_pos: F32 = self._good[:NUM_JOINTS]
+        """(29,) [rad] of the newest good state."""
 
     def take(self, payload: bytes) -> bool:
-        """Judge one sample and, if it is good, fill `msg`; the caller stamps it.
+        """Judge one sample.
 
         Returns:
-            Whether `msg` now holds it. A bad one is counted by name, and `msg` keeps what it had.
+            Whether it is good; everything here then speaks of it. A bad one is counted by name,
+            and everything stays as it was.
         """
         reason = self._envelope(payload)
         if reason:
             self.counters.reject(reason, self._detail(reason, payload))
             return False
-        head = np.frombuffer(payload, STATE_HEAD, 1)[0]
-        motors = np.frombuffer(payload, STATE_MOTOR, NUM_SLOTS, STATE_FIRST_MOTOR)[:NUM_JOINTS]
-        values = self._values
-        values[0] = motors["q"]
-        values[1] = motors["dq"]
-        values[2] = motors["tau_est"]
+        values = self._candidate
+        np.take(np.frombuffer(payload, "<f4"), FLOAT_WORDS, out=values)
         np.abs(values, out=self._magnitude)
-        if not bool((self._magnitude <= LIMITS).all()):  # also catches a NaN
-            self.counters.reject(BAD_MOTOR, f"motor {self._worst()}")
+        within = self._magnitude <= LIMITS
+        if not within.all():  # also catches a NaN
+            worst = int(within.argmin())
+            is_motor = worst < _IMU_FROM
+            detail = f"motor {worst % NUM_JOINTS}" if is_motor else ""
+            self.counters.reject(BAD_MOTOR if is_motor else BAD_IMU, detail)
             return False
-        imu = np.frombuffer(payload, "<f4", 13, 20)  # (13,) quat, gyro, accel, rpy
-        if not self._take_imu(self.msg.imu_pelvis, imu, int(head["imu_temperature"])):
-            self.counters.reject(BAD_IMU)
+        w, x, y, z = values[_IMU_FROM : _IMU_FROM + 4].tolist()
+        if not abs(w * w + x * x + y * y + z * z - 1.0) <= QUATERNION_TOLERANCE:
+            self.counters.reject(BAD_IMU, "no unit quaternion")
             return False
-        if not self._in_order(int(head["tick"])):
+        if not self._in_order(int.from_bytes(payload[16:20], "little")):
             return False
-        self._fill(head, motors, payload)
+        self._good[:] = values
+        self._space[:STATE_BYTES] = np.frombuffer(payload, np.uint8)
+        self.mode_machine = payload[13]
         self.counters.accepted += 1
         return True
 
@@ -134,8 +160,8 @@ class StateDecoder:
         is_unfilled = self._lenient and stored == 0
         if not is_unfilled and stored != crc32_words(state_image(payload)):
             return BAD_CRC
-        self.mode_seen = payload[13]
-        if self.mode_seen != OURS and not (self._lenient and self.mode_seen == 0):
+        mode = payload[13]
+        if mode != OURS and not (self._lenient and mode == 0):
             return BAD_MODE
         return ""
 
@@ -147,25 +173,6 @@ class StateDecoder:
             return f"{payload[13]} ({name}), valid is {OURS} ({MODE_MACHINES[OURS]})"
         return ""
 
-    def _worst(self) -> int:
-        bad = ~(self._magnitude <= LIMITS)
-        return int(bad.any(axis=0).argmax())
-
-    def _take_imu(self, imu: Any, numbers: Any, temperature: int) -> bool:
-        """Check and copy 13 floats; False, and nothing copied, if they cannot be."""
-        w, x, y, z = numbers[:4].tolist()
-        norm = w * w + x * x + y * y + z * z
-        if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
-            return False
-        if not float(np.abs(numbers[4:]).max()) <= IMU_LIMIT:
-            return False
-        imu.quat[:] = numbers[:4]
-        imu.gyro[:] = numbers[4:7]
-        imu.accel[:] = numbers[7:10]
-        imu.rpy[:] = _roll_pitch_yaw(w, x, y, z)  # some simulators leave theirs at zero
-        imu.temperature = temperature
-        return True
-
     def _in_order(self, tick: int) -> bool:
         verdict = self._ticks.judge(tick)
         self.counters.lost = self._ticks.lost
@@ -174,37 +181,70 @@ class StateDecoder:
             return False
         if verdict is TickVerdict.RESTARTED:
             self.counters.restarts += 1
+        self._tick = tick
         return True
 
-    def _fill(self, head: Any, motors: Any, payload: bytes) -> None:
-        msg, values = self.msg, self._values
-        self.mode_machine = msg.mode_machine = payload[13]
-        msg.mode_pr = payload[12]
-        msg.tick = int(head["tick"])
-        msg.joint_pos[:] = values[0]
-        msg.joint_vel[:] = values[1]
-        msg.joint_torque_est[:] = values[2]
-        temperature = motors["temperature"]  # (29, 2) casing, winding
-        msg.temperature_case[:] = temperature[:, 0]
-        msg.temperature_winding[:] = temperature[:, 1]
-        msg.motor_fault[:] = motors["motorstate"].view("<i4")
-        msg.wireless_remote = payload[STATE_REMOTE]
+    # ------------------------------------------------------------------ the newest good state
+
+    @property
+    def quat_wxyz(self) -> F32:
+        """(4,) of the pelvis."""
+        return self._good[_IMU_FROM : _IMU_FROM + 4]
+
+    @property
+    def motor_faults(self) -> npt.NDArray[np.uint32]:
+        """(29,) vendor flags; 0: healthy."""
+        return np.take(self._words, FAULT_WORDS)
+
+    @property
+    def temperatures(self) -> npt.NDArray[np.int16]:
+        """(2, 29) [deg C] casing, winding."""
+        return np.take(self._halves, HEAT_HALVES)
+
+    @property
+    def remote(self) -> bytes:
+        """The remote's frame, 40 bytes."""
+        return self._space[STATE_REMOTE].tobytes()
+
+    def message(self, utime: int) -> bytearray:
+        """Return the newest good state as a G1_LOW_STATE payload; seq and epoch are the bus's.
+
+        Args:
+            utime: Of the measurement [us].
+        """
+        payload = bytearray(self._space[self._index])
+        struct.pack_into(">q", payload, self._places[("header", "utime")], utime)
+        struct.pack_into(">q", payload, self._places[("tick",)], self._tick)
+        struct.pack_into(">f", payload, self._places[("battery_soc",)], self.battery_soc)
+        if self._lenient:  # some simulators leave the angles at zero
+            angles = _roll_pitch_yaw(*self.quat_wxyz.tolist())
+            struct.pack_into(">3f", payload, self._places[("imu_pelvis", "rpy")], *angles)
+        return payload
+
+    # ------------------------------------------------------------------ the torso's IMU
 
     def take_torso_imu(self, payload: bytes) -> bool:
-        """Copy an IMUState sample (rt/secondary_imu); a bad one is counted and not used."""
+        """Take an IMUState sample (rt/secondary_imu); a bad one is counted and not used."""
         if len(payload) < IMU_BYTES or payload[0:2] not in LITTLE_ENDIAN_HEADS:
             self.counters.reject(BAD_LENGTH, "secondary IMU")
             return False
-        numbers = np.frombuffer(payload, "<f4", 13, 4)
-        temperature = int.from_bytes(payload[56:58], "little", signed=True)
-        if self._take_imu(self.msg.imu_torso, numbers, temperature):
-            return True
-        self.counters.reject(BAD_IMU, "secondary IMU")
-        return False
+        numbers = np.frombuffer(payload, "<f4", IMU_NUMBERS, 4)
+        norm = float((numbers[:4] * numbers[:4]).sum())
+        is_good = abs(norm - 1.0) <= QUATERNION_TOLERANCE
+        if not (is_good and bool((np.abs(numbers) <= _IMU_LIMITS).all())):
+            self.counters.reject(BAD_IMU, "secondary IMU")
+            return False
+        big = numbers.byteswap().tobytes() + payload[57:55:-1]
+        self._write_torso(big)
+        return True
 
     def forget_torso_imu(self) -> None:
         """Mark the torso's IMU as unknown: nothing came for too long."""
-        _mark_unknown(self.msg.imu_torso)
+        self._write_torso(struct.pack(">13fh", *[math.nan] * IMU_NUMBERS, -1))
+
+    def _write_torso(self, big_endian: bytes) -> None:
+        start = STATE_BYTES + self._places[("imu_torso", "quat")]
+        self._space[start : start + len(big_endian)] = np.frombuffer(big_endian, np.uint8)
 
 
 def _roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
@@ -214,34 +254,15 @@ def _roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, floa
     return roll, pitch, yaw
 
 
-def new_state() -> Any:
-    """Return an empty G1_LOW_STATE with arrays of the wire's types."""
+def _blank_state() -> Any:
+    """Return a G1_LOW_STATE of which everything the robot reports is still empty."""
     msg: Any = g1_low_state_t()
-    for name in ("joint_pos", "joint_vel", "joint_torque_est"):
-        setattr(msg, name, np.zeros(NUM_JOINTS, np.float32))
-    for name in ("temperature_case", "temperature_winding"):
-        setattr(msg, name, np.full(NUM_JOINTS, -1, np.int16))
-    msg.motor_fault = np.zeros(NUM_JOINTS, np.int32)
     # Simulators on DDS count as robots too: a rehearsal has the rules of the performance.
     msg.source = g1_low_state_t.SOURCE_HARDWARE
-    msg.imu_pelvis, msg.imu_torso = _new_imu(), _new_imu()
-    _mark_unknown(msg.imu_torso)
-    msg.battery_soc = math.nan
     msg.wireless_remote = bytes(40)
+    msg.imu_torso = imu_t()
+    for name, count in (("quat", 4), ("gyro", 3), ("accel", 3), ("rpy", 3)):
+        setattr(msg.imu_torso, name, [math.nan] * count)
+    msg.imu_torso.temperature = -1
+    msg.battery_soc = math.nan
     return msg
-
-
-def _new_imu() -> Any:
-    imu: Any = imu_t()
-    imu.quat = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
-    imu.gyro = np.zeros(3, np.float32)
-    imu.accel = np.zeros(3, np.float32)
-    imu.rpy = np.zeros(3, np.float32)
-    imu.temperature = -1
-    return imu
-
-
-def _mark_unknown(imu: Any) -> None:
-    for name in ("quat", "gyro", "accel", "rpy"):
-        getattr(imu, name)[:] = math.nan
-    imu.temperature = -1

@@ -24,6 +24,7 @@ LATE_US = 500
 LEAST_GAP_US = 1_500
 """A robot that reports faster than 500 Hz is not answered faster."""
 SLOW_PERIOD_US = 100_000
+PUMP_EVERY = 5
 SILENT_WAIT_S = 0.02
 TORSO_STALE_US = 50_000
 REPEATED_ESTOPS = 3
@@ -48,7 +49,13 @@ class Motors(Protocol):
 
 
 class Waiter(Protocol):
-    """What the loop waits for."""
+    """What the loop waits for.
+
+    Attributes:
+        was_woken: Somebody called `wake` since this was last set to False.
+    """
+
+    was_woken: bool
 
     def wait(self, timeout_s: float) -> None:
         """Return when something has come, or after the time."""
@@ -110,7 +117,8 @@ class BridgeNode:
         self._torso_utime = 0
         self._said = ""
         self._estop_left: list[str] = []
-        self._epoch_state_utime = 0
+        self._stamp = 0
+        self._unpumped = 0
         bus.subscribe("G1_LOW_CMD", "OPERATOR_COMMAND", "ESTOP")
 
     def cycle(self) -> None:
@@ -151,12 +159,9 @@ class BridgeNode:
         if self._torso_utime and arrived - self._torso_utime > TORSO_STALE_US:
             decoder.forget_torso_imu()
             self._torso_utime = 0
-        msg = decoder.msg
-        msg.battery_soc = core.watch.battery_soc
         # Stamps on one channel never repeat, however fast a simulator is.
-        self._epoch_state_utime = max(arrived, self._epoch_state_utime + 1)
-        msg.header.utime = self._epoch_state_utime
-        self._bus.publish("G1_LOW_STATE", msg)
+        self._stamp = max(arrived, self._stamp + 1)
+        self._bus.publish_encoded("G1_LOW_STATE", decoder.message(self._stamp))
         self.times.states += 1
         self.times.superseded += good - 1
         self.times.state_us.add(self._clock.utime() - arrived)
@@ -164,6 +169,13 @@ class BridgeNode:
 
     def _take_bus(self, arrived: int) -> bool:
         """Take control's commands, the operator's, and emergency stops."""
+        # Woken for it, or to be on the safe side: most cycles have nothing on LCM.
+        waiter = self._topics.waiter
+        self._unpumped += 1
+        if not waiter.was_woken and self._unpumped < PUMP_EVERY:
+            return False
+        waiter.was_woken = False
+        self._unpumped = 0
         if not self._bus.pump():
             return False
         core = self.core
@@ -204,7 +216,7 @@ class BridgeNode:
         core, topics = self.core, self._topics
         for payload in topics.battery.take()[-1:]:
             if len(payload) >= BMS_BYTES and payload[BMS_SOC] <= 100:
-                core.watch.battery_soc = payload[BMS_SOC] * 0.01
+                core.watch.battery_soc = core.decoder.battery_soc = payload[BMS_SOC] * 0.01
         core.note_foreign(len(topics.foreign_commands.take()), utime)
         if core.is_silent:
             topics.motion.update(utime, core.wants_release)

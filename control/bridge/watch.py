@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+import numpy.typing as npt
 
 from downbeat.control.bridge.faults import BRIDGE_FAULTS, BridgeReaction
+from downbeat.control.bridge.lowstate import StateDecoder
 from downbeat.control.bridge.remote import button_mask, buttons_of, is_silent, pressed_names
 from downbeat.control.bridge.settings import BridgeSettings
 from downbeat.runtime.faults import Fault, FaultMonitor
@@ -25,6 +25,7 @@ class RobotWatch:
         self._confirm_mask = button_mask((settings.confirm_button,))
         self._texts: dict[str, str] = {}
         self._hot: dict[str, str] = {}
+        self._active: tuple[Fault[BridgeReaction], ...] = ()
         self._count = 0
         self._buttons = 0
         self._remote_utime = 0
@@ -36,22 +37,24 @@ class RobotWatch:
         """When the newest good state came [us]; 0: none yet."""
         self.num_states = 0
 
-    def take_state(self, msg: Any, utime: int) -> None:
+    def take_state(self, state: StateDecoder, utime: int) -> None:
         """Judge a good state that came at `utime` [us]."""
         found: dict[str, str] = {}
         self.state_utime = utime
         self.num_states += 1
-        self._take_remote(msg.wireless_remote, utime, found)
-        if msg.motor_fault.any():
-            found["motor_fault"] = str(int((msg.motor_fault != 0).argmax()))
+        self._take_remote(state.remote, utime, found)
+        faults = state.motor_faults
+        if faults.any():
+            found["motor_fault"] = str(int((faults != 0).argmax()))
         if self._count % BODY_PERIOD == 0:
-            self._hot = self._judge_heat(msg)
+            self._hot = self._judge_heat(state.temperatures)
         self._count += 1
         found.update(self._hot)
         if self.battery_soc < self._settings.battery_min:  # NaN, not known, compares false
             found["battery_empty"] = f"{100.0 * self.battery_soc:.0f}"
-        self._texts.update(found)
-        self._monitor.update(found)
+        if found:
+            self._texts.update(found)
+        self._active = self._monitor.update(found)
 
     def _take_remote(self, frame: bytes, utime: int, found: dict[str, str]) -> None:
         self.is_confirmed = False
@@ -66,12 +69,10 @@ class RobotWatch:
         self.is_confirmed = bool(buttons & ~self._buttons & self._confirm_mask)
         self._buttons = buttons
 
-    def _judge_heat(self, msg: Any) -> dict[str, str]:
+    def _judge_heat(self, temperatures: npt.NDArray[np.int16]) -> dict[str, str]:
         hot: dict[str, str] = {}
-        for name, values, limit in (
-            ("winding_hot", msg.temperature_winding, self._settings.winding_max_c),
-            ("case_hot", msg.temperature_case, self._settings.case_max_c),
-        ):
+        limits = (self._settings.case_max_c, self._settings.winding_max_c)
+        for name, values, limit in zip(("case_hot", "winding_hot"), temperatures, limits):
             worst = int(np.argmax(values))
             if values[worst] > limit:
                 hot[name] = f"{worst} ({values[worst]} C)"
@@ -79,9 +80,7 @@ class RobotWatch:
 
     def faults(self, utime: int) -> list[tuple[Fault[BridgeReaction], str]]:
         """Return what is wrong at `utime` [us], each row with its sentence."""
-        raised = [
-            (row, row.message.format(self._texts.get(row.name, ""))) for row in self._monitor.active
-        ]
+        raised = [(row, row.message.format(self._texts.get(row.name, ""))) for row in self._active]
         stale_s = (utime - self.state_utime) * 1e-6
         if self.state_utime and stale_s > self._settings.state_stale_s:
             raised.append(sentence("state_stale", f"{stale_s * 1e3:.0f} ms"))

@@ -121,12 +121,18 @@ def test_a_lowstate_of_the_library_is_read_field_by_field():
         )
         for i in range(35)
     ]
-    imu = idl.IMUState_([0.5, 0.5, 0.5, 0.5], [1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0], 41)
+    imu = idl.IMUState_(
+        [0.5, 0.5, 0.5, 0.5], [1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [0.25, 0.5, 0.75], 41
+    )
     remote = list(range(40))
     state = idl.LowState_([1, 2], 0, 5, 1234, imu, motors, remote, [3] * 4, 0)
     decoder = StateDecoder()
     assert decoder.take(sealed(bytearray(state.serialize()))), decoder.counters
-    msg = decoder.msg
+    msg = codec_for(g1_low_state_t).decode(bytes(decoder.message(77)))
+    assert msg.header.utime == 77
+    assert list(decoder.joint_pos) == list(msg.joint_pos)
+    assert list(decoder.temperatures[1]) == list(50 + np.arange(29))
+    assert list(decoder.motor_faults) == list(range(29)) and decoder.remote == bytes(range(40))
     index = np.arange(29)
     assert np.allclose(msg.joint_pos, index * 0.01) and np.allclose(msg.joint_vel, index * 0.1)
     assert np.allclose(msg.joint_torque_est, index * 0.5)
@@ -134,24 +140,26 @@ def test_a_lowstate_of_the_library_is_read_field_by_field():
     assert list(msg.temperature_winding) == list(50 + index)
     assert list(msg.motor_fault) == list(index)
     assert list(msg.imu_pelvis.quat) == [0.5] * 4 and list(msg.imu_pelvis.accel) == [4.0, 5.0, 6.0]
-    # The robot's own rpy is not trusted: it is that of the quaternion.
-    assert np.allclose(msg.imu_pelvis.rpy, [math.pi / 2, 0.0, math.pi / 2], atol=1e-3)
+    assert list(msg.imu_pelvis.rpy) == [0.25, 0.5, 0.75]
     assert msg.imu_pelvis.temperature == 41 and msg.wireless_remote == bytes(remote)
     assert (msg.tick, msg.mode_machine) == (1234, 5)
-    codec = codec_for(g1_low_state_t)
-    assert codec.decode(codec.encode(msg)).source == g1_low_state_t.SOURCE_HARDWARE
+    assert msg.source == g1_low_state_t.SOURCE_HARDWARE and math.isnan(msg.battery_soc)
+    assert np.isnan(msg.imu_torso.quat).all() and msg.imu_torso.temperature == -1
 
 
 def test_torso_imu_is_read_and_a_broken_one_is_not():
     decoder = StateDecoder()
-    good = layout.CDR_HEAD + struct.pack("<13fh2x", 1, 0, 0, 0, *range(9), 33)
+    assert decoder.take(sealed(plain_state()))
+    good = layout.CDR_HEAD + struct.pack("<13fh2x", 1, 0, 0, 0, *range(6), 1.0, 1.5, 2.0, 33)
     assert decoder.take_torso_imu(good)
-    assert list(decoder.msg.imu_torso.gyro) == [0.0, 1.0, 2.0]
-    assert decoder.msg.imu_torso.temperature == 33
+    torso = codec_for(g1_low_state_t).decode(bytes(decoder.message(1))).imu_torso
+    assert list(torso.gyro) == [0.0, 1.0, 2.0] and list(torso.rpy) == [1.0, 1.5, 2.0]
+    assert torso.temperature == 33
     assert not decoder.take_torso_imu(good[:40])
     assert not decoder.take_torso_imu(layout.CDR_HEAD + struct.pack("<13fh2x", *[math.nan] * 13, 0))
     decoder.forget_torso_imu()
-    assert np.isnan(decoder.msg.imu_torso.quat).all()
+    torso = codec_for(g1_low_state_t).decode(bytes(decoder.message(1))).imu_torso
+    assert np.isnan(torso.quat).all() and torso.temperature == -1
 
 
 @pytest.mark.parametrize(
@@ -170,7 +178,7 @@ def test_a_damaged_state_is_counted_named_and_not_passed_on(damage, reason):
     damage(state)
     assert not decoder.take(bytes(state))
     assert decoder.counters.rejected == {reason: 1} and reason in decoder.counters.last_reason
-    assert decoder.msg.tick == 1
+    assert codec_for(g1_low_state_t).decode(bytes(decoder.message(1))).tick == 1
 
 
 @pytest.mark.parametrize(
@@ -198,6 +206,15 @@ def test_another_robot_is_refused_by_name():
     assert decoder.counters.last_reason == (
         "wrong mode_machine: 2 (29 dof), valid is 5 (29 dof rev 1.0)"
     )
+
+
+def test_angles_that_a_simulator_leaves_out_are_those_of_the_quaternion():
+    state = plain_state()
+    struct.pack_into("<4f", state, 20, 0.5, 0.5, 0.5, 0.5)
+    decoder = StateDecoder(lenient=True)
+    assert decoder.take(sealed(state))
+    msg = codec_for(g1_low_state_t).decode(bytes(decoder.message(1)))
+    assert np.allclose(msg.imu_pelvis.rpy, [math.pi / 2, 0.0, math.pi / 2], atol=1e-3)
 
 
 def test_zeros_mean_not_filled_in_for_simulators_only():
