@@ -143,14 +143,15 @@ class Doctor:
 class Bench:
     """Print what things cost here; `control`: the control loop against the clock and a C loop."""
 
-    what: tyro.conf.Positional[Literal["table", "control"]] = "table"
-    """table: tick, codec, fingerprint query, generator, lockstep speed; control: real time."""
+    what: tyro.conf.Positional[Literal["table", "control", "bridge"]] = "table"
+    """table: tick, codec, fingerprint query, generator, lockstep speed; control: real time;
+    bridge: latency, loss and processor time between DDS and LCM."""
     only: tuple[str, ...] = ()
     """table: names of benchmarks; none: all."""
     seconds: float = 14.0
-    """control: time for each loop, idle and again loaded [s]."""
+    """control, bridge: time for each block, idle and again loaded [s]."""
     load: bool = True
-    """control: measure also beside one busy loop per processor."""
+    """control, bridge: measure also beside one busy loop per processor."""
     skill: str = "kpop"
     """control: the planted skill to play."""
     cpu: int | None = None
@@ -167,6 +168,10 @@ class Bench:
 
             bench = ControlBench(self.seconds, self.load, self.skill, self.url, self.cpu)
             return bench_control(bench, self.json)
+        if self.what == "bridge":
+            from downbeat.tools.bench_bridge import bench_bridge
+
+            return bench_bridge(self.seconds, self.load, self.json)
         from downbeat.tools.bench import run_bench
 
         return run_bench(self.only, self.json)
