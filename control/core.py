@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from downbeat.control.allowed import allowed_fall_limits, allowed_limits
+from downbeat.control.atlas import Atlas
 from downbeat.control.balance import FallPredictor, tilt_and_rate
 from downbeat.control.director import Director, Frame
 from downbeat.control.estimate import NO_ESTIMATE, Estimate, StateEstimator
@@ -19,6 +20,7 @@ from downbeat.control.faults import Reaction
 from downbeat.control.get_up import GetUp
 from downbeat.control.observation import RobotState
 from downbeat.control.policy import SkillLibrary
+from downbeat.control.query import transition_query
 from downbeat.control.safety import (
     Measured,
     RaisedFault,
@@ -43,6 +45,7 @@ from downbeat.lcm_types import (
     g1_low_cmd_t,
     g1_low_state_t,
     operator_command_t,
+    transition_query_t,
 )
 
 __all__ = ["ControlCore", "CoreConfig", "TickInput", "TickOutput", "hash64", "robot_state"]
@@ -51,8 +54,18 @@ __all__ = ["ControlCore", "CoreConfig", "TickInput", "TickOutput", "hash64", "ro
 class ControlCore:
     """Modes and safety around the director."""
 
-    def __init__(self, library: SkillLibrary, config: CoreConfig | None = None) -> None:
+    def __init__(
+        self,
+        library: SkillLibrary,
+        config: CoreConfig | None = None,
+        atlas: Atlas | None = None,
+    ) -> None:
         """Prepare the core.
+
+        Args:
+            library: What may be played.
+            config: Settings.
+            atlas: Proven changes of skill; None: the measured rules alone decide.
 
         Raises:
             ControlError: The fallback skill is not in the library.
@@ -60,7 +73,7 @@ class ControlCore:
         self.config = config or CoreConfig()
         self.library = library
         self.mode: int = control_status_t.ZERO_TORQUE
-        self.director = Director(library, self.config.fallback)
+        self.director = Director(library, self.config.fallback, atlas, self.config.proof)
         self.safety = SafetyMonitor()
         self.estimator = StateEstimator()
         self.predictor = FallPredictor()
@@ -73,6 +86,7 @@ class ControlCore:
         self._limp = False
         self._tilt = math.nan
         self._hardest = Reaction.NONE
+        self._query: transition_query_t | None = None
 
     def tick(self, inputs: TickInput) -> TickOutput:
         """Advance by one tick of 20 ms."""
@@ -82,13 +96,15 @@ class ControlCore:
         self._watch_state(inputs, state, estimate)
         self._take_operator(inputs)
         self._take_requests(inputs)
+        self.director.prover.hear(inputs.verdicts, inputs.utime)
+        self._query = None
         frame, targets = self._act(inputs, state)
         is_limp = self.mode == control_status_t.ZERO_TORQUE or self._limp
         command = command_for(inputs, targets, is_limp)
         status = self._status(inputs, state, estimate, frame, command)
         self.director.end_tick(inputs.utime)
         changes = self.director.book.take_changes()
-        return TickOutput(command, status, changes, self._tripped)
+        return TickOutput(command, status, changes, self._tripped, self._query)
 
     def _sense(self, inputs: TickInput) -> tuple[RobotState | None, Estimate]:
         """Return the measured and estimated state of the robot."""
@@ -122,6 +138,7 @@ class ControlCore:
                 return None, targets
             self.director.start(state, inputs.utime)  # a held pose does not stand, a skill does
         self.director.update(state, inputs.utime)
+        self._ask(inputs, state)
         frame = self.director.play(state, inputs.utime)
         if frame is None:
             return None, None
@@ -132,6 +149,14 @@ class ControlCore:
                 return None, None
         self.mode = self.director.mode
         return frame, frame.targets
+
+    def _ask(self, inputs: TickInput, state: RobotState) -> None:
+        """Form the question to the checker, before this tick changes what it is about."""
+        question = self.director.prover.question
+        if question is not None:
+            memory = to_bytes({"director": self.director.to_state(), "sent": self._sent})
+            proof = self.config.proof
+            self._query = transition_query(inputs, state, question, self.director, proof, memory)
 
     def _replace_policy(
         self, raised: list[RaisedFault], state: RobotState, now: int

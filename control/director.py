@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from downbeat.control.allowed import uncertified
+from downbeat.control.atlas import Atlas
 from downbeat.control.errors import ControlError
 from downbeat.control.observation import RobotState
 from downbeat.control.phase import TICK_US, PhaseLine
 from downbeat.control.player import Blend, Playback, heading_of, mix, start_playback
 from downbeat.control.policy import SkillLibrary
+from downbeat.control.prover import ProofConfig, Prover, Situation
 from downbeat.control.requests import Request, RequestBook
 from downbeat.control.skill import JointTargets, SkillOutput
 from downbeat.control.transitions import (
@@ -22,7 +24,6 @@ from downbeat.control.transitions import (
     Hop,
     half_us,
     is_planted,
-    next_hop,
     walk_stop_lead_us,
 )
 from downbeat.lcm_types import control_status_t, skill_request_t, skill_status_t
@@ -68,12 +69,20 @@ OWN_FALLBACKS = ("walk", "stand")
 class Director:
     """Playback, blends and the request book; a pure state machine stepped once per tick."""
 
-    def __init__(self, library: SkillLibrary, fallback: str = "") -> None:
+    def __init__(
+        self,
+        library: SkillLibrary,
+        fallback: str = "",
+        atlas: Atlas | None = None,
+        proof: ProofConfig | None = None,
+    ) -> None:
         """Prepare an idle director.
 
         Args:
             library: What may be played.
             fallback: Skill that catches a fall; empty: the best of our own, see docs/safety.md.
+            atlas: Proven changes of skill; None: the measured rules alone decide.
+            proof: How sure a change must be.
 
         Raises:
             ControlError: The fallback skill is not in the library.
@@ -89,6 +98,8 @@ class Director:
         learned = library[fallback].manifest.policy is not None
         self.balance = fallback if learned else ""
         self.book = RequestBook(library.__contains__, library.names)
+        stand = library["stand"].manifest
+        self.prover = Prover(atlas or Atlas(), stand, proof or ProofConfig())
         self.playback: Playback | None = None
         self.blend: Blend | None = None
         self._plan = ""
@@ -197,6 +208,7 @@ class Director:
 
     def update(self, state: RobotState, now: int) -> None:
         """Start the next hop when it is due."""
+        self.prover.question = None
         self.book.expire(now)
         playback = self.playback
         if playback is None:
@@ -219,17 +231,34 @@ class Director:
             return
         self._slow_down(playback, goal, now)
         still = playback.velocity is None or playback.velocity.is_still
-        hop = next_hop(
+        situation = Situation(
             playback.skill.manifest,
             playback.follower,
             still,
             goal,
+            request.key,
             now,
             self.balance,
             now - self._alone_since_utime,
         )
+        hop = self.prover.next(situation)
+        self._say_words(request)
         if hop is not None and hop.start_utime <= now + TICK_US // 2:
             self._start_hop(hop, request, playback, state, now)
+
+    def _say_words(self, request: Request) -> None:
+        """Tell the asker what the prover decided."""
+        words, self.prover.words = self.prover.words, []
+        if request.key[0] == OWN_SOURCE:
+            return
+        for word in words:
+            self.book.say(
+                request,
+                word.state,
+                planned_start_utime=word.onset_utime,
+                plan=word.plan,
+                reason=word.reason,
+            )
 
     @staticmethod
     def _slow_down(playback: Playback, goal: Goal, now: int) -> None:
@@ -363,6 +392,7 @@ class Director:
             **{name: getattr(self, name) for name in STATE_FIELDS},
             "pending": list(self.book.pending),
             "active": self.book.active,
+            "prover": self.prover.state,
         }
 
     def from_state(self, values: Mapping[str, Any]) -> None:
@@ -371,4 +401,6 @@ class Director:
             setattr(self, name, values[name])
         self.book.pending = values["pending"]
         self.book.active = values["active"]
+        self.prover.state = values["prover"]
+        self.prover.words = []
         self.book.changes = []

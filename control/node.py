@@ -16,6 +16,7 @@ SUBSCRIPTIONS = (
     "OPERATOR_SKILL_REQUEST",
     "OPERATOR_COMMAND",
     "ESTOP",
+    "TRANSITION_VERDICT",
 )
 NEVER_US = 2**31 - 1
 LARGEST_COUNT = 2**31 - 1
@@ -62,6 +63,8 @@ class ControlNode:
         output = self.core.tick(inputs)
         self._bus.publish("G1_LOW_CMD", output.command)
         self._publish_status(output)
+        if output.query is not None:
+            self._bus.publish("TRANSITION_QUERY", output.query)
         if self._journal is not None:
             self._journal(inputs, output)
         if self._blackbox is not None:
@@ -81,6 +84,7 @@ class ControlNode:
             operator=tuple(r.msg for r in self._bus.take("OPERATOR_COMMAND")),
             estops=tuple(r.msg for r in self._bus.take("ESTOP")),
             foreign_states=self._bus.counters.foreign_on("G1_LOW_STATE"),
+            verdicts=tuple(r.msg for r in self._bus.take("TRANSITION_VERDICT")),
         )
 
     def _publish_status(self, output: TickOutput) -> None:

@@ -134,7 +134,7 @@ def start_playback(
 ) -> Playback:
     """Begin to play `skill` with the blend of `hop` that starts at `utime`, from `state`."""
     manifest = skill.manifest
-    entry = 0.0 if hop.entry == "zero" else None
+    entry = 0.0 if hop.entry == "zero" else line.at(utime) + hop.shift_s
     follower = PhaseFollower(
         line, utime, manifest.duration_s, beat_s(manifest), entry, loop=manifest.loop
     )

@@ -20,6 +20,8 @@ from downbeat.lcm_types import (
     g1_low_state_t,
     operator_command_t,
     skill_request_t,
+    transition_query_t,
+    transition_verdict_t,
 )
 from downbeat.runtime.codec import codec_for
 
@@ -27,9 +29,21 @@ INPUT_LISTS: Mapping[str, Any] = {
     "requests": skill_request_t,
     "operator": operator_command_t,
     "estops": estop_t,
+    "verdicts": transition_verdict_t,
 }
 STATUS_NUMBERS = struct.Struct("<7q7d")
-COMPARED = ("mode", "skill", "phase", "input", "obs", "action", "command", "status", "changes")
+COMPARED = (
+    "mode",
+    "skill",
+    "phase",
+    "input",
+    "obs",
+    "action",
+    "command",
+    "status",
+    "changes",
+    "query",
+)
 """What a replay must reproduce, in the order in which a difference is reported."""
 
 
@@ -59,6 +73,8 @@ def tick_record(inputs: TickInput, output: TickOutput) -> dict[str, Any]:
         "status": status_hash(status),
         "changes": _hash(repr(output.changes).encode()),
     }
+    if output.query is not None:
+        record["query"] = query_hash(output.query)
     if inputs.foreign_states:
         record["foreign"] = inputs.foreign_states
     for name, kind in INPUT_LISTS.items():
@@ -96,6 +112,13 @@ def command_hash(command: g1_low_cmd_t) -> int:
         command.joint_damping,
         float(command.mode),
     )
+
+
+def query_hash(query: transition_query_t) -> int:
+    """Return a hash of a question to the checker, without what the bus adds to it."""
+    numbers = (query.header.utime, query.query_id, query.request_id, query.exit_utime)
+    texts = (query.from_skill, query.to_skill, query.mode, query.control_state_hash)
+    return _hash(repr((numbers, texts, tuple(query.qpos), tuple(query.qvel))).encode())
 
 
 def status_hash(status: control_status_t) -> int:

@@ -1,4 +1,4 @@
-"""Slots: the phases at which a skill may be left and entered, as the atlas of transitions counts them.
+"""Slots: the phases at which a skill may be left and entered, as the atlas counts them.
 
 A phase here is that of the onset, the tick in which the weight passes one half. Footwork is left
 at quarters of a beat, exactly: the feet land on the beat, and a few hundredths of a second decide.
@@ -8,7 +8,6 @@ A planted dance may be left anywhere, so its slots are whole beats with everythi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 from downbeat.policies.manifest import SkillManifest
 
@@ -53,7 +52,6 @@ class Slots:
         return min(off, self.width_s - off)
 
 
-@cache
 def exit_slots(skill: SkillManifest) -> Slots:
     """Return where a skill may be left."""
     if skill.name == "stand" or (skill.policy is not None and skill.kind != "tracking"):
@@ -67,7 +65,6 @@ def exit_slots(skill: SkillManifest) -> Slots:
     return _every(skill, 60.0 / skill.bpm if skill.bpm > 0 else GESTURE_SLOT_S, False)
 
 
-@cache
 def entry_slots(skill: SkillManifest) -> Slots:
     """Return where a skill may be entered: footwork, gaits and motions at their beginning."""
     planted = skill.kind == "planted" and skill.policy is None and skill.loop

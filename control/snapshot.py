@@ -20,8 +20,10 @@ from downbeat.control.estimate import EstimatorState
 from downbeat.control.get_up import GetUpState
 from downbeat.control.motion import Alignment
 from downbeat.control.phase import FollowLimits, PhaseFollower, PhaseLine
+from downbeat.control.planner import Plan
 from downbeat.control.player import Blend, Playback, Velocity
 from downbeat.control.policy import SkillLibrary
+from downbeat.control.prover import Chosen, ProverState
 from downbeat.control.requests import Request
 from downbeat.control.safety import SafetyCounters
 from downbeat.control.skill import SkillMemory
@@ -35,14 +37,17 @@ _CLASSES: Mapping[str, type] = {
     for cls in (
         Alignment,
         Blend,
+        Chosen,
         EstimatorState,
         FollowLimits,
         GetUpState,
         Hop,
         PhaseFollower,
         PhaseLine,
+        Plan,
         Playback,
         PredictorState,
+        ProverState,
         Request,
         SafetyCounters,
         SkillMemory,

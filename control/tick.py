@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Any, cast
 
 import numpy as np
 
 from downbeat.control.observation import RobotState
+from downbeat.control.prover import ProofConfig
 from downbeat.control.requests import StatusChange
 from downbeat.control.skill import JointTargets
 from downbeat.lcm_types import (
@@ -18,6 +19,8 @@ from downbeat.lcm_types import (
     g1_low_state_t,
     operator_command_t,
     skill_request_t,
+    transition_query_t,
+    transition_verdict_t,
 )
 
 DAMPING_GAIN = 2.0
@@ -39,6 +42,7 @@ class TickInput:
         operator: New operator commands, in order.
         estops: New emergency stop messages, in order.
         foreign_states: Messages of a second publisher on G1_LOW_STATE so far.
+        verdicts: New answers of the checker, in order.
     """
 
     utime: int
@@ -49,6 +53,7 @@ class TickInput:
     operator: tuple[operator_command_t, ...] = ()
     estops: tuple[estop_t, ...] = ()
     foreign_states: int = 0
+    verdicts: tuple[transition_verdict_t, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +65,8 @@ class TickOutput:
     changes: list[StatusChange]
     tripped: bool = False
     """The robot went to damping or emergency stop in this tick."""
+    query: transition_query_t | None = None
+    """A plan that the checker shall simulate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +76,12 @@ class CoreConfig:
     Attributes:
         auto_arm: In simulation, move to the start pose and stand without an operator.
         fallback: The skill that catches a fall; empty: the best of our own (docs/safety.md).
+        proof: How sure a change of skill must be.
     """
 
     auto_arm: bool = True
     fallback: str = ""
+    proof: ProofConfig = field(default_factory=ProofConfig)
 
 
 def robot_state(msg: g1_low_state_t) -> RobotState:

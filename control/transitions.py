@@ -47,6 +47,7 @@ class Hop:
         style: "full" mixes all joints; "legs_hard" switches the legs in the middle at once.
         entry: "line": the skill enters on its phase line; "zero": held at phase 0 until the
             middle of the blend.
+        shift_s: The skill enters this much ahead of its line, whole beats [s].
     """
 
     start_utime: int
@@ -54,6 +55,7 @@ class Hop:
     blend_ticks: int
     style: Style = "full"
     entry: Entry = "line"
+    shift_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

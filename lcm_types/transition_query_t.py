@@ -12,11 +12,11 @@ import downbeat.lcm_types
 class transition_query_t(object):
     """ TRANSITION_QUERY: control asks the checker to simulate a plan before it is made. """
 
-    __slots__ = ["header", "query_id", "request_id", "deadline_utime", "state_seq", "from_skill", "to_skill", "exit_utime", "entry_phase_s", "blend_s", "stand_s", "num_rollouts", "horizon_s", "seed", "profile", "qpos", "qvel", "num_bytes", "control_state", "control_state_hash"]
+    __slots__ = ["header", "query_id", "request_id", "deadline_utime", "state_seq", "from_skill", "to_skill", "exit_utime", "entry_phase_s", "blend_s", "stand_s", "num_rollouts", "horizon_s", "seed", "mode", "profile", "qpos", "qvel", "num_bytes", "control_state", "control_state_hash"]
 
-    __typenames__ = ["downbeat.lcm_types.header_t", "int64_t", "int64_t", "int64_t", "int64_t", "string", "string", "int64_t", "double", "double", "double", "int32_t", "double", "int64_t", "string", "double", "double", "int32_t", "byte", "int64_t"]
+    __typenames__ = ["downbeat.lcm_types.header_t", "int64_t", "int64_t", "int64_t", "int64_t", "string", "string", "int64_t", "double", "double", "double", "int32_t", "double", "int64_t", "string", "string", "double", "double", "int32_t", "byte", "int64_t"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, [36], [35], None, ["num_bytes"], None]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, [36], [35], None, ["num_bytes"], None]
 
     def __init__(self):
         self.header = downbeat.lcm_types.header_t()
@@ -75,6 +75,12 @@ class transition_query_t(object):
 
         self.seed = 0
         """ LCM Type: int64_t """
+        self.mode = ""
+        """
+        blend, as the atlas names it
+        LCM Type: string
+        """
+
         self.profile = ""
         """
         perturbation profile
@@ -123,6 +129,10 @@ class transition_query_t(object):
         buf.write(__to_skill_encoded)
         buf.write(b"\0")
         buf.write(struct.pack(">qdddidq", self.exit_utime, self.entry_phase_s, self.blend_s, self.stand_s, self.num_rollouts, self.horizon_s, self.seed))
+        __mode_encoded = self.mode.encode('utf-8')
+        buf.write(struct.pack('>I', len(__mode_encoded)+1))
+        buf.write(__mode_encoded)
+        buf.write(b"\0")
         __profile_encoded = self.profile.encode('utf-8')
         buf.write(struct.pack('>I', len(__profile_encoded)+1))
         buf.write(__profile_encoded)
@@ -153,6 +163,8 @@ class transition_query_t(object):
         __to_skill_len = struct.unpack('>I', buf.read(4))[0]
         self.to_skill = buf.read(__to_skill_len)[:-1].decode('utf-8', 'replace')
         self.exit_utime, self.entry_phase_s, self.blend_s, self.stand_s, self.num_rollouts, self.horizon_s, self.seed = struct.unpack(">qdddidq", buf.read(52))
+        __mode_len = struct.unpack('>I', buf.read(4))[0]
+        self.mode = buf.read(__mode_len)[:-1].decode('utf-8', 'replace')
         __profile_len = struct.unpack('>I', buf.read(4))[0]
         self.profile = buf.read(__profile_len)[:-1].decode('utf-8', 'replace')
         self.qpos = struct.unpack('>36d', buf.read(288))
@@ -166,7 +178,7 @@ class transition_query_t(object):
     def _get_hash_recursive(parents):
         if transition_query_t in parents: return 0
         newparents = parents + [transition_query_t]
-        tmphash = (0xf063e826afd0a3f9+ downbeat.lcm_types.header_t._get_hash_recursive(newparents)) & 0xffffffffffffffff
+        tmphash = (0x4e4e1b94b67519ea+ downbeat.lcm_types.header_t._get_hash_recursive(newparents)) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

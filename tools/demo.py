@@ -39,7 +39,10 @@ def run_demo(args: Demo) -> int:
     set_list = demo_set_list(tracks, args.section_seconds, footwork)
     mashup = build_mashup(set_list, tracks, library.recordings, args.announced)
     mashup.truth["seed"] = args.seed
-    show = write_show(run_dir, mashup, library, args.seed, args.imported, args.fallback)
+    imported = "" if args.imported is None else str(args.imported.resolve())
+    show = write_show(
+        run_dir, mashup, library, args.seed, imported=imported, fallback=args.fallback
+    )
     play(show, run_dir, mashup, not args.lockstep, args.url)
     metrics = finish_run(run_dir, video=args.video, quiet=args.json)
     if args.json:

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.commands.evaluate import Mashup as MashupArgs
 from downbeat.tools.errors import ToolError
@@ -47,7 +49,20 @@ def run_eval_mashup(args: MashupArgs) -> int:
         say(f"left out (no {args.section_seconds:.0f} s without a pause): {', '.join(left_out)}")
     mashup = build_mashup(set_list, tracks, library.recordings, args.announced, left_out)
     mashup.truth["seed"] = args.seed
-    show = write_show(run_dir, mashup, library, args.seed, args.imported, args.fallback)
+    mass_scale, friction = robot_of(args.seed) if args.perturb else (1.0, 0.6)
+    show = write_show(
+        run_dir,
+        mashup,
+        library,
+        args.seed,
+        imported="" if args.imported is None else str(args.imported.resolve()),
+        fallback=args.fallback,
+        transitions=args.transitions,
+        checker=args.checker,
+        atlas="" if args.atlas is None else str(args.atlas.resolve()),
+        mass_scale=mass_scale,
+        friction=friction,
+    )
     play(show, run_dir, mashup, args.realtime, args.url)
     metrics = finish_run(run_dir, video=args.video, quiet=args.json)
     metrics["left_out"] = list(left_out)
@@ -56,15 +71,20 @@ def run_eval_mashup(args: MashupArgs) -> int:
     return 0 if metrics["good"] else 1
 
 
+def robot_of(seed: int) -> tuple[float, float]:
+    """Return torso mass factor and friction of the robot that a seed means."""
+    rng = np.random.default_rng([seed, 0xB0D7])
+    return round(float(rng.uniform(0.95, 1.05)), 4), round(float(rng.uniform(0.5, 0.8)), 3)
+
+
 def write_show(
     run_dir: Path,
     mashup: Mashup,
     library: Library,
     seed: int,
-    imported: Path | None = None,
-    fallback: str = "",
+    **settings: Any,
 ) -> Show:
-    """Write the files of a show into its run folder."""
+    """Write the files of a show into its run folder; `settings` are those of `ShowConfig`."""
     mashup.write(run_dir)
     folder = library.folder.relative_to(run_dir).as_posix()
     config = ShowConfig(
@@ -72,9 +92,8 @@ def write_show(
         tracks=folder,
         index=f"{folder}/{INDEX_NAME}",
         set_list="setlist.toml" if mashup.truth["announced"] else "",
-        imported="" if imported is None else str(imported.resolve()),
-        fallback=fallback,
         seed=seed,
+        **settings,
     )
     path = run_dir / SHOW_NAME
     path.write_text(config.to_toml(), encoding="utf-8")

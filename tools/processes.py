@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,9 +15,12 @@ from downbeat.runtime.node import Node, run_node
 from downbeat.runtime.rate import RateKeeper
 from downbeat.runtime.realtime import configure_real_time
 from downbeat.tools.commands.processes import ProcessArgs
+from downbeat.tools.errors import ToolError
 from downbeat.tools.show import (
+    SHOW_NAME,
     Show,
     load_show,
+    make_checker,
     make_conductor,
     make_control,
     make_core,
@@ -73,7 +77,13 @@ def run_process(name: str, args: ProcessArgs) -> int:
         run_node(recorder, clock, open_udpm(url, clock, name))
         return 0
     bus = open_udpm(url, clock, name)
-    starters = {"sim": _sim, "control": _control, "listener": _listener, "conductor": _conductor}
+    starters = {
+        "sim": _sim,
+        "control": _control,
+        "listener": _listener,
+        "conductor": _conductor,
+        "checker": _checker,
+    }
     return starters[name](show, bus, clock)
 
 
@@ -111,6 +121,22 @@ def _listener(show: Show, bus: Bus, clock: WallClock) -> int:
 def _conductor(show: Show, bus: Bus, clock: WallClock) -> int:
     run_node(make_conductor(show, bus), clock, bus)
     return 0
+
+
+def _checker(show: Show, bus: Bus, clock: WallClock) -> int:
+    become_idle()
+    node = make_checker(show, bus, is_simulated_time=False)
+    if node is None:
+        raise ToolError(f"{show.folder / SHOW_NAME} asks for no checker (checker, transitions).")
+    run_node(node, clock, bus)
+    return 0
+
+
+def become_idle() -> None:
+    """Take only the time that nobody else wants."""
+    os.nice(19)
+    if hasattr(os, "SCHED_IDLE"):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def _announce(name: str, report: Any) -> None:

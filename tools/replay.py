@@ -137,7 +137,7 @@ def _logged_commands(path: Path) -> dict[int, Any]:
 
 def _compare(recorded: Mapping[str, Any], replayed: Mapping[str, Any]) -> Difference | None:
     for name in COMPARED:
-        a, b = recorded.get(name), replayed[name]
+        a, b = recorded.get(name), replayed.get(name)
         if a != b and not (a != a and b != b):  # two NaNs are equal here
             return Difference(int(recorded["tick"]), name, a, b)
     return None

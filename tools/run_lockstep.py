@@ -13,6 +13,7 @@ from downbeat.sim.lockstep import Lockstep
 from downbeat.tools.control_journal import JOURNAL_NAME, ControlJournal
 from downbeat.tools.show import (
     Show,
+    make_checker,
     make_conductor,
     make_control,
     make_core,
@@ -56,7 +57,8 @@ def run_lockstep(
         make_conductor(show, hub.endpoint("conductor", clock)),
         make_control(show, hub.endpoint("control", clock), journal.record, core=core),
     )
-    scheduler = Lockstep(clock, nodes)
+    checker = make_checker(show, hub.endpoint("checker", clock), is_simulated_time=True)
+    scheduler = Lockstep(clock, nodes if checker is None else (*nodes, checker))
     total_us = LEAD_US + round(duration_s * 1e6) + TAIL_US
 
     def progress(utime: int) -> bool:

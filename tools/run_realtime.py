@@ -24,7 +24,7 @@ from downbeat.runtime.process import CrashPolicy, ProcessSpec, cli_argv
 from downbeat.runtime.supervisor import Supervisor
 from downbeat.tools.errors import ToolError
 from downbeat.tools.processes import default_url, log_folder
-from downbeat.tools.show import SHOW_NAME, Show
+from downbeat.tools.show import SHOW_NAME, Show, has_checker
 
 TABLE = (
     ("sim", "sim", CrashPolicy.STOP_ALL),
@@ -32,6 +32,7 @@ TABLE = (
     ("recorder", "record", CrashPolicy.STOP_ALL),
     ("listener", "listen", CrashPolicy.STOP_ALL),
     ("conductor", "conduct", CrashPolicy.RESTART),
+    ("checker", "check", CrashPolicy.RESTART),
 )
 READY_TIMEOUT_S = 60.0
 STANDING_S = 1.0
@@ -122,6 +123,7 @@ def run_realtime(show: Show, run_dir: Path, duration_s: float, url: str) -> None
             log_path=logs / f"{name}.log",
         )
         for name, command, policy in TABLE
+        if name != "checker" or has_checker(show)
     ]
     supervisor = Supervisor(specs)
     console = Console(stderr=True)

@@ -6,19 +6,23 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from downbeat.catalog.setlist import load_setlist
 from downbeat.catalog.tracks import Track, load_tracks
+from downbeat.control.atlas import BUNDLED_ATLAS, Atlas
 from downbeat.control.blackbox import BlackBox
 from downbeat.control.core import ControlCore, CoreConfig, TickInput, TickOutput
 from downbeat.control.node import ControlNode
 from downbeat.control.policy import SkillLibrary
+from downbeat.control.prover import ProofConfig
 from downbeat.policies.manifest import SkillManifest, load_skills
 from downbeat.runtime.bus import Bus
 from downbeat.runtime.config import load_config, plain
+from downbeat.tools.errors import ToolError
 
 SHOW_NAME = "show.toml"
+TRANSITIONS = ("proven", "rules", "via_stand", "hard")
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,11 @@ class ShowConfig:
         seed: Of the plant's noise.
         sensor_noise: Whether the plant's sensors are noisy.
         command_delay_us: From a command to its effect on the motors [us].
+        mass_scale: Factor on the plant's torso mass.
+        friction: Of the plant's soles and floor.
+        atlas: Folder of proven changes; empty: the bundled one.
+        transitions: "proven"; "rules" (without an atlas), "via_stand" or "hard" to compare with.
+        checker: Whether a checker process simulates plans before they are made.
     """
 
     audio: str
@@ -50,6 +59,11 @@ class ShowConfig:
     seed: int = 0
     sensor_noise: bool = True
     command_delay_us: int = 4_000
+    mass_scale: float = 1.0
+    friction: float = 0.6
+    atlas: str = ""
+    transitions: str = "proven"
+    checker: bool = True
 
     def to_toml(self) -> str:
         """Return the show as TOML."""
@@ -104,7 +118,11 @@ def make_sim(show: Show, bus: Bus) -> Any:
     noise = NoiseConfig() if show.config.sensor_noise else NO_NOISE
     settings = show.config
     config = PlantConfig(
-        noise=noise, seed=settings.seed, command_delay_us=settings.command_delay_us
+        noise=noise,
+        seed=settings.seed,
+        command_delay_us=settings.command_delay_us,
+        mass_scale=settings.mass_scale,
+        friction=settings.friction,
     )
     return SimNode(bus, config)
 
@@ -147,7 +165,56 @@ def make_core(show: Show) -> ControlCore:
     settings = show.config
     imported = show.path(settings.imported) if settings.imported else None
     library = SkillLibrary.load(skills_folder(show), imported=imported)
-    return ControlCore(library, CoreConfig(fallback=settings.fallback))
+    config = CoreConfig(fallback=settings.fallback, proof=show_proof(show))
+    return ControlCore(library, config, show_atlas(show))
+
+
+def show_proof(show: Show) -> ProofConfig:
+    """Return how sure a change of skill must be.
+
+    Raises:
+        ToolError: `transitions` is none of the valid words.
+    """
+    settings = show.config
+    if settings.transitions not in TRANSITIONS:
+        raise ToolError(
+            f"transitions = '{settings.transitions}' is not possible; valid are "
+            f"{', '.join(TRANSITIONS)} ({show.folder / SHOW_NAME}:transitions)."
+        )
+    if settings.transitions in ("via_stand", "hard"):
+        return ProofConfig(policy=cast(Any, settings.transitions))
+    return ProofConfig(use_checker=settings.checker)
+
+
+def show_atlas(show: Show) -> Atlas | None:
+    """Return the atlas of a show, None if the measured rules alone shall decide.
+
+    Raises:
+        DownbeatError: The folder does not hold an atlas.
+    """
+    settings = show.config
+    folder = show.path(settings.atlas) if settings.atlas else BUNDLED_ATLAS
+    if settings.transitions != "proven" or not (settings.atlas or folder.exists()):
+        return None
+    return Atlas.load(folder, show_skills(show))
+
+
+def has_checker(show: Show) -> bool:
+    """Whether the show has a checker process."""
+    settings = show.config
+    wanted = settings.checker and settings.transitions == "proven"
+    return wanted and (bool(settings.atlas) or BUNDLED_ATLAS.exists())
+
+
+def make_checker(show: Show, bus: Bus, is_simulated_time: bool) -> Any:
+    """Build the checker process; None if the show has none."""
+    atlas = show_atlas(show)
+    if atlas is None or not show.config.checker:
+        return None
+    from downbeat.sim.checker import Checker, CheckerNode
+
+    checker = Checker(show_skills(show), atlas, show_proof(show))
+    return CheckerNode(bus, checker, is_simulated_time)
 
 
 def make_control(

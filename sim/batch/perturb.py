@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +186,7 @@ PUSH_S = 0.1
 """A push is a constant force for so long."""
 
 
-@cache
+@lru_cache(maxsize=512)
 def draw_block(profile: Profile, seed: int, block: int) -> Draws:
     """Return the robots `block * BLOCK` ... of a seed."""
     rng = np.random.default_rng([seed, block, 0xD12A])

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from downbeat.catalog.mjcf import ModelOptions, g1_mjcf
+from downbeat.policies.digest import skill_digest
 from downbeat.policies.manifest import SkillManifest
 from downbeat.sim.batch.pair import ROW, Rows
 from downbeat.sim.batch.perturb import SUBSTEP_S, Profile
@@ -21,16 +22,6 @@ from downbeat.sim.errors import SimError
 
 VERSION = 1
 """Raised when the same inputs would give other rows."""
-
-
-def skill_digest(manifest: SkillManifest) -> str:
-    """Return a hash of everything that a skill does."""
-    digest = blake2b(digest_size=8)
-    for path in (manifest.onnx_path, *(manifest.folder / name for name in manifest.extra_files)):
-        digest.update(path.read_bytes())
-    facts = (manifest.name, manifest.kind, manifest.bpm, manifest.duration_s, manifest.loop)
-    digest.update(repr((*facts, manifest.policy, manifest.command)).encode())
-    return digest.hexdigest()
 
 
 def world_digest(profile: Profile, seed: int) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -37,6 +37,15 @@ class Mashup:
     """Folder of imported policies (downbeat policy import) that may be played besides."""
     fallback: str = ""
     """The skill that catches a fall."""
+    transitions: Literal["proven", "rules", "via_stand", "hard"] = "proven"
+    """How skills change: as the atlas and the checker prove, or, to compare with, by the measured
+    rules alone, always through stand, or at once and without a blend."""
+    checker: bool = True
+    """Simulate plans before they are made."""
+    atlas: Path | None = None
+    """Folder of proven changes (downbeat sweep); default: the bundled one."""
+    perturb: bool = True
+    """Draw the plant's mass (+-5 %) and friction (0.5 to 0.8) by the seed."""
     json: bool = False
     """Print metrics as one JSON object on standard output."""
 

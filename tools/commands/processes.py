@@ -73,3 +73,14 @@ class Record(ProcessArgs):
         from downbeat.tools.processes import run_process
 
         return run_process("recorder", self)
+
+
+@dataclass(frozen=True)
+class Check(ProcessArgs):
+    """Run the checker: TRANSITION_QUERY in, simulated, TRANSITION_VERDICT out, at idle priority."""
+
+    def run(self) -> int:
+        """Run until told to stop."""
+        from downbeat.tools.processes import run_process
+
+        return run_process("checker", self)

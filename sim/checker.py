@@ -1,0 +1,196 @@
+"""The checker process: simulates a plan from where the robot is, before control makes it.
+
+It answers TRANSITION_QUERY with TRANSITION_VERDICT within the query's deadline: with whatever
+number of rollouts is done by then and the bound that they support. It runs at idle priority; it may
+be killed at any time, and control then relies on the atlas alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+
+from downbeat.control.atlas import Atlas
+from downbeat.control.prover import ProofConfig
+from downbeat.control.verdicts import is_refused
+from downbeat.lcm_types import transition_query_t, transition_verdict_t
+from downbeat.policies.manifest import SkillManifest
+from downbeat.runtime.bus import Bus
+from downbeat.runtime.errors import DownbeatError
+from downbeat.sim.batch.engine import batch_model
+from downbeat.sim.batch.native import NativeEngine
+from downbeat.sim.batch.outcome import Outcome, join_outcomes
+from downbeat.sim.batch.perturb import BLOCK, draw_block, load_profile
+from downbeat.sim.batch.proof import fixed_upper_bound
+from downbeat.sim.batch.rehearsal import Rehearsal, perturbed_start, rehearse
+
+CHUNK = 16
+"""Rollouts per call of the engine: between two of them the deadline is looked at."""
+MAX_ROLLOUTS = 256
+SETTLE_S = 1.0
+"""Robots that have calmed down this long after the onset are not simulated further."""
+ANSWER_MARGIN_US = 30_000
+"""Kept free before the deadline for the way back."""
+LOCKSTEP_LATENCY_US = 300_000
+"""How long a check takes in simulated time; measured on 2 cores (`downbeat bench check`)."""
+
+log = logging.getLogger("downbeat.sim")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a check found.
+
+    Attributes:
+        outcome: Of the rollouts that were done in time; None: none were.
+        compute_us: Time spent.
+    """
+
+    outcome: Outcome | None
+    compute_us: int
+
+
+class Checker:
+    """Checks plans; pure but for the clock that tells it when to stop."""
+
+    def __init__(
+        self,
+        manifests: Mapping[str, SkillManifest],
+        atlas: Atlas,
+        proof: ProofConfig,
+        threads: int = 0,
+    ) -> None:
+        self.manifests, self.atlas, self.proof = dict(manifests), atlas, proof
+        self.engine = NativeEngine(manifests, threads)
+        for name in self.manifests:
+            self.engine.skill(name)
+        self.model_hash = model_hash()
+        self._chunk_s = 0.0
+
+    def check(
+        self, query: transition_query_t, time_left_s: Callable[[], float] = lambda: 1e9
+    ) -> Answer:
+        """Simulate a query's plan.
+
+        Args:
+            query: The question.
+            time_left_s: Until an answer must be on its way [s].
+
+        Raises:
+            DownbeatError: The query makes no sense here.
+        """
+        began = time.perf_counter()
+        profile = load_profile(query.profile)
+        plan = rehearse(query, self.manifests, self.atlas, self.proof)
+        wanted = min(max(int(query.num_rollouts), 1), MAX_ROLLOUTS)
+        robots = np.arange(wanted) % BLOCK
+        draws = draw_block(profile, int(query.seed) & 0xFFFF, 0)
+        parts: list[Outcome] = []
+        for first in range(0, wanted, CHUNK):
+            if parts and time_left_s() < self._chunk_s:
+                break
+            if time_left_s() <= 0.0:
+                break
+            rows = robots[first : first + CHUNK]
+            parts.append(self._run(query, plan, profile, draws.take(rows), first))
+        spent = time.perf_counter() - began
+        if parts:
+            self._chunk_s = spent / len(parts)
+        return Answer(join_outcomes(parts) if parts else None, round(spent * 1e6))
+
+    def _run(
+        self, query: transition_query_t, plan: Rehearsal, profile: Any, draws: Any, first: int
+    ) -> Outcome:
+        seed = (int(query.seed) & 0xFFFFFFFF, first)
+        start = perturbed_start(query, plan, profile, draws.count, seed[0] + 7919 * first)
+        settle = max(plan.onset_tick, 0) + round(SETTLE_S * 50)
+        return self.engine.run(start, plan.script, draws, seed, settle_tick=settle)
+
+    def verdict(self, query: transition_query_t, answer: Answer) -> transition_verdict_t:
+        """Return the message that answers a query."""
+        msg: Any = transition_verdict_t()
+        msg.query_id = query.query_id
+        msg.compute_us = answer.compute_us
+        msg.model_hash = self.model_hash
+        msg.verdict, msg.p_fall_upper = transition_verdict_t.TIMED_OUT, 1.0
+        outcome = answer.outcome
+        if outcome is None:
+            return msg
+        fallen, count = outcome.num_fallen, outcome.count
+        refused = is_refused(self.proof.checked, fallen, count)
+        msg.verdict = transition_verdict_t.UNSAFE if refused else transition_verdict_t.SAFE
+        msg.num_rollouts, msg.num_fallen = count, fallen
+        msg.p_fall_upper = fixed_upper_bound(fallen, count)
+        msg.min_margin = float(np.clip(outcome.min_margin.min(), -10.0, 10.0))
+        msg.max_tilt = float(outcome.max_tilt.max())
+        msg.max_torque_ratio = float(outcome.max_torque_ratio.max())
+        return msg
+
+
+def model_hash() -> int:
+    """Return a hash of the model that is simulated."""
+    model = batch_model()
+    digest = blake2b(digest_size=8)
+    for name in ("body_mass", "body_inertia", "jnt_range", "actuator_gainprm", "geom_size"):
+        digest.update(np.ascontiguousarray(getattr(model, name)).tobytes())
+    return int.from_bytes(digest.digest(), "big", signed=True)
+
+
+class CheckerNode:
+    """Node "checker"."""
+
+    name = "checker"
+    period_us = 20_000
+
+    def __init__(self, bus: Bus, checker: Checker, is_simulated_time: bool = False) -> None:
+        """Wire the process.
+
+        Args:
+            bus: Endpoint of the process "checker".
+            checker: Loaded and warm.
+            is_simulated_time: In lockstep the clock stands while it computes: every rollout is
+                done, and the answer goes out when it would have come on a real machine.
+        """
+        self._bus, self._checker = bus, checker
+        self._lockstep = is_simulated_time
+        self._waiting: list[tuple[int, transition_verdict_t]] = []
+        bus.subscribe("TRANSITION_QUERY")
+
+    def step(self, utime: int) -> None:
+        """Answer what was asked."""
+        self._bus.pump()
+        for received in self._bus.take("TRANSITION_QUERY"):
+            self._waiting.append(self._answer(received.msg, utime))
+        while self._waiting and self._waiting[0][0] <= utime:
+            _, verdict = self._waiting.pop(0)
+            verdict.header.utime = utime
+            self._bus.publish("TRANSITION_VERDICT", verdict)
+
+    def _answer(self, query: transition_query_t, utime: int) -> tuple[int, transition_verdict_t]:
+        """Return when to answer a query, and what."""
+        left_us = int(query.deadline_utime) - utime - ANSWER_MARGIN_US
+        began = time.monotonic()
+
+        def time_left_s() -> float:
+            if self._lockstep:
+                return 1e9
+            return left_us * 1e-6 - (time.monotonic() - began)
+
+        try:
+            answer = self._checker.check(query, time_left_s)
+        except DownbeatError as error:
+            log.warning("a query cannot be checked: %s", error)
+            answer = Answer(None, 0)
+        if not self._lockstep:
+            return utime, self._checker.verdict(query, answer)
+        answer = Answer(answer.outcome, LOCKSTEP_LATENCY_US)
+        return utime + LOCKSTEP_LATENCY_US, self._checker.verdict(query, answer)
+
+    def close(self) -> None:
+        """Nothing to release."""
