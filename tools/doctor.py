@@ -6,23 +6,27 @@ from collections.abc import Callable
 from functools import partial
 
 from downbeat.runtime.bus import BusError, parse_udpm_url
-from downbeat.tools import doctor_machine, doctor_network
+from downbeat.tools import doctor_machine, doctor_network, doctor_robot
 from downbeat.tools.doctor_check import CheckResult, fail
 
 Check = Callable[[], CheckResult]
 
 
-def checks_for(url: str) -> list[tuple[str, Check]]:
+def checks_for(url: str, interface: str = "", domain: int = 0) -> list[tuple[str, Check]]:
     """Return the checks in the order in which they make sense.
 
     Args:
         url: LCM URL; empty: the show's default group.
+        interface: Network interface to a robot; empty: none is looked for.
+        domain: Its DDS domain.
 
     Raises:
         BusError: The URL is not one.
     """
     parsed = parse_udpm_url(url)
     return [
+        ("versions", doctor_robot.check_versions),
+        ("types", doctor_robot.check_types),
         ("lcm version", doctor_network.check_lcm_version),
         ("lcm url", partial(doctor_network.check_url, parsed)),
         ("loopback", doctor_network.check_loopback),
@@ -38,17 +42,23 @@ def checks_for(url: str) -> list[tuple[str, Check]]:
         ("control imports", doctor_machine.check_control_imports),
         ("rendering", doctor_machine.check_rendering),
         ("java", doctor_machine.check_java),
+        ("audio devices", doctor_robot.check_audio),
+        ("dds version", doctor_robot.check_dds_version),
+        ("dds ports", partial(doctor_robot.check_dds_ports, domain, parsed)),
+        ("robot", partial(doctor_robot.check_robot, interface, domain)),
     ]
 
 
-def run_doctor(url: str = "") -> list[CheckResult]:
+def run_doctor(url: str = "", interface: str = "", domain: int = 0) -> list[CheckResult]:
     """Run every check; one that breaks is a failed check, not an exception.
 
     Args:
         url: LCM URL; empty: the show's default group.
+        interface: Network interface to a robot; empty: none is looked for.
+        domain: Its DDS domain.
     """
     try:
-        checks = checks_for(url)
+        checks = checks_for(url, interface, domain)
     except BusError as error:
         return [fail("lcm url", str(error), "Give a udpm URL, or none for the default.")]
     results: list[CheckResult] = []

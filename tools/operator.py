@@ -102,13 +102,13 @@ def spy(url: str) -> int:
     return start_spy(url, CACHE_DIR).wait()
 
 
-def doctor(url: str, as_json: bool) -> int:
+def doctor(url: str, as_json: bool, interface: str = "", domain: int = 0) -> int:
     """Print the checks; 0 if nothing fails."""
     from dataclasses import asdict
 
     from downbeat.tools.doctor import is_healthy, run_doctor
 
-    results = run_doctor(url)
+    results = run_doctor(url, interface, domain)
     if as_json:
         print(json.dumps([asdict(result) for result in results]))
     else:

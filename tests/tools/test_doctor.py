@@ -46,7 +46,7 @@ def test_check_that_breaks_is_a_failed_check(monkeypatch):
     def broken():
         raise OSError("no such thing")
 
-    monkeypatch.setattr(doctor, "checks_for", lambda url: [("broken", broken)])
+    monkeypatch.setattr(doctor, "checks_for", lambda *asked: [("broken", broken)])
     (result,) = doctor.run_doctor()
     assert result.status == "fail" and "no such thing" in result.detail
 

@@ -125,10 +125,14 @@ class Spy:
 
 @dataclass(frozen=True)
 class Doctor:
-    """Check this machine: LCM, multicast, buffers, real-time rights, GL, Java."""
+    """Check this machine: versions, LCM, buffers, real-time rights, sound, DDS, the robot."""
 
     url: str = ""
     """LCM URL."""
+    interface: str = ""
+    """Network interface to a robot, to see whether it is there; omitted: not looked for."""
+    domain: int = 0
+    """Its DDS domain."""
     json: bool = False
     """Print one JSON object on standard output."""
 
@@ -136,7 +140,7 @@ class Doctor:
         """Check; 0 if nothing fails."""
         from downbeat.tools.operator import doctor
 
-        return doctor(self.url, self.json)
+        return doctor(self.url, self.json, self.interface, self.domain)
 
 
 @dataclass(frozen=True)
