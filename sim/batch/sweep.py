@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import blake2b
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,9 @@ import numpy as np
 from downbeat.control.modes import modes_between
 from downbeat.control.slots import PARTS_PER_BEAT, entry_slots, exit_slots
 from downbeat.policies.manifest import SkillManifest, load_skills
+from downbeat.runtime import realtime
 from downbeat.sim.batch.cells import Change, entry_phases, simulate
+from downbeat.sim.batch.engine import Engine, EngineName, open_engine
 from downbeat.sim.batch.native import NativeEngine
 from downbeat.sim.batch.outcome import Outcome
 from downbeat.sim.batch.pair import ROW, Depth, Pair, Rows, Task
@@ -27,7 +28,6 @@ from downbeat.sim.batch.states import Visits, visit
 from downbeat.sim.batch.store import Store
 from downbeat.sim.errors import SimError
 
-PR_SET_PDEATHSIG = 1
 TARGETS_PER_UNIT = 11
 """Pairs that one process works through before the next unit: they share the source's states."""
 
@@ -45,6 +45,7 @@ class SweepConfig:
         depth: How far to go.
         shard: (i, n): this is part i of n; (0, 1): everything.
         workers: Processes.
+        engine: What simulates the changes.
     """
 
     out: Path
@@ -55,6 +56,7 @@ class SweepConfig:
     depth: Depth = Depth()
     shard: tuple[int, int] = (0, 1)
     workers: int = 1
+    engine: EngineName = "native"
 
 
 def sweep_skills(config: SweepConfig) -> dict[str, SkillManifest]:
@@ -112,6 +114,7 @@ class Worker:
         self.profile = load_profile(config.profile)
         self.store = Store(config.out, self.profile, config.seed)
         self.engine = NativeEngine(known, threads)
+        self.judge = open_judge(config.engine, self.engine)
         self._visits = lru_cache(maxsize=64)(self._visit)
 
     def _visit(self, source: str, block: int) -> Visits:
@@ -152,8 +155,13 @@ class Worker:
         change = Change(robots, exits, entries, entry_phases(b, entries, rng))
         draws = draw_block(self.profile, self.config.seed, task.block)
         mode = pair.modes[task.mode]
-        outcome = simulate(self.engine, visits, b, a, mode, change, draws, seed)
+        outcome = simulate(self.judge, visits, b, a, mode, change, draws, seed)
         return _rows(task, change, outcome)
+
+
+def open_judge(name: EngineName, native: NativeEngine) -> Engine:
+    """Return the engine that simulates the changes; the native one catches the robots before."""
+    return native if name == "native" else open_engine(name, native.manifests, native.threads)
 
 
 def _spread(slots: Sequence[int], rng: np.random.Generator) -> np.ndarray:
@@ -240,8 +248,10 @@ def run_sweep(
 
 
 def die_with_parent() -> None:
-    """Ask the kernel to end this process with its parent: a killed sweep leaves nothing behind."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
+    """Have the kernel end this child with its parent: a killed sweep leaves nothing behind."""
+    parent = parent_process()
+    if parent is not None and parent.pid is not None:
+        realtime.die_with_parent(parent.pid, signal.SIGKILL)
 
 
 def spread_processes(config: SweepConfig, units: Sequence[Unit]) -> Iterator[tuple[Unit, int]]:
