@@ -273,7 +273,7 @@ class Prover:
             return
         start = chosen.plan.hop.start_utime
         last = start if out is None else min(start, max(out.start_utime, at.now))
-        if at.now < min(last, start) - config.ask_ahead_us:
+        if at.now < min(last, start) - max(config.ask_ahead_us, config.patience_us):
             return
         state.queries += 1
         chosen.query_id = state.queries

@@ -26,13 +26,15 @@ from downbeat.runtime.errors import DownbeatError
 from downbeat.sim.batch.engine import batch_model
 from downbeat.sim.batch.native import NativeEngine
 from downbeat.sim.batch.outcome import Outcome, join_outcomes
-from downbeat.sim.batch.perturb import BLOCK, draw_block, load_profile
+from downbeat.sim.batch.perturb import BLOCK, Draws, Profile, draw_block, load_profile
 from downbeat.sim.batch.proof import fixed_upper_bound
 from downbeat.sim.batch.rehearsal import Rehearsal, perturbed_start, rehearse
 
-CHUNK = 16
-"""Rollouts per call of the engine: between two of them the deadline is looked at."""
+SMALLEST_CHUNK = 8
+"""Rollouts per call of the engine when time is short; with time they all run together."""
 MAX_ROLLOUTS = 256
+HEADROOM = 1.3
+"""A chunk is begun when this many times its usual duration is left."""
 SETTLE_S = 1.0
 """Robots that have calmed down this long after the onset are not simulated further."""
 ANSWER_MARGIN_US = 30_000
@@ -56,6 +58,10 @@ class Answer:
     compute_us: int
 
 
+class _OutOfTimeError(Exception):
+    """The deadline came in the middle of a chunk."""
+
+
 class Checker:
     """Checks plans; pure but for the clock that tells it when to stop."""
 
@@ -71,7 +77,8 @@ class Checker:
         for name in self.manifests:
             self.engine.skill(name)
         self.model_hash = model_hash()
-        self._chunk_s = 0.0
+        self._rollout_tick_s = 1.5e-4
+        """Duration of one tick of one rollout, as measured last."""
 
     def check(
         self, query: transition_query_t, time_left_s: Callable[[], float] = lambda: 1e9
@@ -89,28 +96,53 @@ class Checker:
         profile = load_profile(query.profile)
         plan = rehearse(query, self.manifests, self.atlas, self.proof)
         wanted = min(max(int(query.num_rollouts), 1), MAX_ROLLOUTS)
-        robots = np.arange(wanted) % BLOCK
         draws = draw_block(profile, int(query.seed) & 0xFFFF, 0)
         parts: list[Outcome] = []
-        for first in range(0, wanted, CHUNK):
-            if parts and time_left_s() < self._chunk_s:
+        done = 0
+        while done < wanted:
+            count = self._affordable(wanted - done, plan.script.ticks, time_left_s())
+            if count == 0:
                 break
-            if time_left_s() <= 0.0:
+            rows = np.arange(done, done + count) % BLOCK
+            try:
+                part = self._run(query, plan, profile, draws.take(rows), done, time_left_s)
+            except _OutOfTimeError:
                 break
-            rows = robots[first : first + CHUNK]
-            parts.append(self._run(query, plan, profile, draws.take(rows), first))
-        spent = time.perf_counter() - began
-        if parts:
-            self._chunk_s = spent / len(parts)
-        return Answer(join_outcomes(parts) if parts else None, round(spent * 1e6))
+            parts.append(part)
+            done += count
+        outcome = join_outcomes(parts) if parts else None
+        return Answer(outcome, round((time.perf_counter() - began) * 1e6))
+
+    def _affordable(self, wanted: int, ticks: int, left_s: float) -> int:
+        """Return how many of the wanted rollouts can be done in the time that is left."""
+        count = wanted
+        while count * ticks * self._rollout_tick_s * HEADROOM > left_s:
+            if count <= SMALLEST_CHUNK:
+                return 0
+            count = max(count // 2, SMALLEST_CHUNK)
+        return count
 
     def _run(
-        self, query: transition_query_t, plan: Rehearsal, profile: Any, draws: Any, first: int
+        self,
+        query: transition_query_t,
+        plan: Rehearsal,
+        profile: Profile,
+        draws: Draws,
+        first: int,
+        time_left_s: Callable[[], float],
     ) -> Outcome:
+        def watch(tick: int, _ids: Any, _here: Any) -> None:
+            if tick % 5 == 0 and time_left_s() <= 0.0:
+                raise _OutOfTimeError
+
+        began = time.perf_counter()
         seed = (int(query.seed) & 0xFFFFFFFF, first)
         start = perturbed_start(query, plan, profile, draws.count, seed[0] + 7919 * first)
         settle = max(plan.onset_tick, 0) + round(SETTLE_S * 50)
-        return self.engine.run(start, plan.script, draws, seed, settle_tick=settle)
+        outcome = self.engine.run(start, plan.script, draws, seed, watch, settle_tick=settle)
+        spent = (time.perf_counter() - began) / (draws.count * plan.script.ticks)
+        self._rollout_tick_s = 0.5 * (self._rollout_tick_s + spent)
+        return outcome
 
     def verdict(self, query: transition_query_t, answer: Answer) -> transition_verdict_t:
         """Return the message that answers a query."""

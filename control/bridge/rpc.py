@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import struct
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -18,6 +19,8 @@ from downbeat.control.bridge.layout import CDR_HEAD, LITTLE_ENDIAN_HEADS
 _REQUEST = struct.Struct("<qqqi?3x")
 _RESPONSE = struct.Struct("<qqi")
 _LENGTH = struct.Struct("<I")
+GAP_S = 0.03
+"""Between two requests: a service that looks now and then and keeps the last one would lose one."""
 MAX_TEXT = 1 << 20
 NO_ANSWER = 3104
 """The vendor's code for a request that nobody answered in time."""
@@ -125,7 +128,10 @@ def decode_response(payload: bytes) -> Answer:
 
 
 class Service:
-    """One service of the robot: `call` sends, `poll` returns answers and what got none."""
+    """One service of the robot: `call` sends, `poll` returns answers and what got none.
+
+    Requests follow each other at a distance; those that wait go out with `poll`.
+    """
 
     def __init__(
         self,
@@ -148,18 +154,29 @@ class Service:
         self._waiting: dict[int, tuple[int, float]] = {}
         self._next = int(monotonic() * 1e9)
         self.damaged = 0
+        self._outgoing: deque[tuple[int, int, bytes]] = deque()
+        self._free_at = 0.0
 
     def call(self, api: int, parameter: Mapping[str, Any] | None = None, data: bytes = b"") -> int:
         """Send a request; its answer comes from `poll`."""
         self._next += 1
-        self._waiting[self._next] = (api, self._monotonic() + self._timeout_s)
-        self._requests.write(
-            encode_request(self._next, api, json.dumps(dict(parameter or {})), data)
-        )
+        text = json.dumps(dict(parameter or {}))
+        self._outgoing.append((self._next, api, encode_request(self._next, api, text, data)))
+        self._send()
         return self._next
+
+    def _send(self) -> None:
+        """Send the oldest request unless one was sent just now."""
+        now = self._monotonic()
+        if self._outgoing and now >= self._free_at:
+            call, api, payload = self._outgoing.popleft()
+            self._waiting[call] = (api, now + self._timeout_s)
+            self._free_at = now + GAP_S
+            self._requests.write(payload)
 
     def poll(self) -> list[Answer]:
         """Return the answers to our own calls; a call without one is answered with 3104."""
+        self._send()
         answers = []
         for payload in self._responses.take():
             try:

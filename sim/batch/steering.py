@@ -40,6 +40,7 @@ def steer(
         memory: As `begin_steering` returns it.
         heading: (N,) measured [rad].
         wanted: (3,) vx, vy [m/s], yaw rate [rad/s].
+        xp: `numpy` or `jax.numpy`.
 
     Returns:
         The new memory, and the commands (N, 3).
