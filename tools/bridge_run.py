@@ -11,7 +11,7 @@ from typing import Any
 
 from downbeat.control.bridge.core import BridgeCore
 from downbeat.control.bridge.dds_config import LOOPBACK, port_clash
-from downbeat.control.bridge.loop import robot_topics, run_bridge
+from downbeat.control.bridge.loop import open_service, robot_topics, run_bridge
 from downbeat.control.bridge.node import BridgeNode, WakeOnLcm
 from downbeat.control.bridge.settings import BridgeSettings
 from downbeat.control.bridge.stages import Stage
@@ -106,7 +106,20 @@ def _extras(
     options: BridgeOptions, link: Any, bus: Any, node: BridgeNode
 ) -> Callable[[int], None] | None:
     """Return what runs beside the bridge proper, None for nothing."""
-    return None
+    runs: list[Callable[[int], None]] = []
+    if options.lights:
+        from downbeat.control.bridge.lights import Lights
+        from downbeat.control.bridge.voice import SERVICE, RobotSpeaker
+
+        runs.append(Lights(bus, node.core, RobotSpeaker(open_service(link, SERVICE))))
+    if not runs:
+        return None
+
+    def run_all(utime: int) -> None:
+        for run in runs:
+            run(utime)
+
+    return run_all
 
 
 class _Patience:

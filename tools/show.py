@@ -22,6 +22,7 @@ from downbeat.runtime.config import load_config, plain
 from downbeat.tools.errors import ToolError
 
 SHOW_NAME = "show.toml"
+ROBOT_MICROPHONE = "robot:"
 TRANSITIONS = ("proven", "rules", "via_stand", "hard")
 
 
@@ -30,7 +31,7 @@ class ShowConfig:
     """Content of show.toml; paths are relative to its folder.
 
     Attributes:
-        audio: The sound file.
+        audio: The sound file, or "robot:INTERFACE" for the robot's own microphone.
         tracks: Folder of track files.
         index: Fingerprint index.
         set_list: Set list of an announced show, empty: cuts are a surprise.
@@ -138,7 +139,15 @@ def make_listener(show: Show, bus: Bus, first_sample_utime: int) -> Any:
     def next_boundary_s(track: str, tau_s: float) -> float | None:
         return tracks[track].next_change_s(tau_s) if track in tracks else None
 
-    source = FileSource(load_recording(show.path(show.config.audio)), first_sample_utime)
+    source: Any
+    if show.config.audio.startswith(ROBOT_MICROPHONE):
+        from downbeat.perception.robot_microphone import RobotMicrophone
+
+        interface = show.config.audio.removeprefix(ROBOT_MICROPHONE)
+        source = RobotMicrophone(bus.clock, interface, first_sample_utime)
+    else:
+        recording = load_recording(show.path(show.config.audio))
+        source = FileSource(recording, first_sample_utime)
     matcher = AlignmentMatcher.load(show.path(show.config.index))
     return ListenerNode(bus, source, matcher, next_boundary_s)
 

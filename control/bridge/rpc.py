@@ -19,7 +19,7 @@ from downbeat.control.bridge.layout import CDR_HEAD, LITTLE_ENDIAN_HEADS
 _REQUEST = struct.Struct("<qqqi?3x")
 _RESPONSE = struct.Struct("<qqi")
 _LENGTH = struct.Struct("<I")
-GAP_S = 0.03
+GAP_S = 0.12
 """Between two requests: a service that looks now and then and keeps the last one would lose one."""
 MAX_TEXT = 1 << 20
 NO_ANSWER = 3104

@@ -152,6 +152,32 @@ def test_stop_button_is_told_to_control(rig):
         stops = bus.take("ESTOP")
     assert stops and stops[0].msg.source == "bridge" and "select" in stops[0].msg.reason
     bus.close()
+    end = time.monotonic() + 3.0
+    while (lights := one.ask("voice")["lights"]) != [[0, 0, 255], [255, 0, 0]]:
+        assert time.monotonic() < end, lights  # listening, then stopped
+
+
+def test_speech_is_played_by_the_robots_voice(rig):
+    import numpy as np
+
+    from downbeat.control.bridge.dds import Link
+    from downbeat.control.bridge.loop import open_service
+    from downbeat.control.bridge.voice import RobotSpeaker
+
+    one = rig()
+    link = Link("lo", one.domain)
+    speaker = RobotSpeaker(open_service(link, "voice"))
+    time.sleep(0.5)
+    start = time.monotonic()
+    speaker.set_volume(0.7)
+    speaker.play(np.arange(60_000, dtype=np.int16) % 1000, 0)
+    while time.monotonic() - start < 4.0 and one.ask("voice")["pcm_bytes"] < 120_000:
+        speaker.update(round((time.monotonic() - start) * 1e6))
+        time.sleep(0.05)
+    heard = one.ask("voice")
+    link.close()
+    assert heard["pcm_bytes"] == 120_000 and heard["volume"] == 70
+    assert heard["streams"] == ["downbeat/1"] and speaker.errors == {}
 
 
 def command(clock, mode, target):
