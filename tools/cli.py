@@ -18,6 +18,7 @@ sub = tyro.conf.subcommand
 
 Command = (
     Annotated[show.Demo, sub("demo")]
+    | Annotated[show.Rehearse, sub("rehearse")]
     | Annotated[evaluate.Eval, sub("eval")]
     | Annotated[catalog.CatalogCommand, sub("catalog")]
     | Annotated[policy.Policy, sub("policy")]

@@ -147,9 +147,10 @@ class Doctor:
 class Bench:
     """Print what things cost here; `control`: the control loop against the clock and a C loop."""
 
-    what: tyro.conf.Positional[Literal["table", "control", "bridge"]] = "table"
+    what: tyro.conf.Positional[Literal["table", "control", "bridge", "check"]] = "table"
     """table: tick, codec, fingerprint query, generator, lockstep speed; control: real time;
-    bridge: latency, loss and processor time between DDS and LCM."""
+    bridge: latency, loss and processor time between DDS and LCM; check: an online check beside the
+    bare physics of the same steps."""
     only: tuple[str, ...] = ()
     """table: names of benchmarks; none: all."""
     seconds: float = 14.0
@@ -176,6 +177,10 @@ class Bench:
             from downbeat.tools.bench_bridge import bench_bridge
 
             return bench_bridge(self.seconds, self.load, self.json)
+        if self.what == "check":
+            from downbeat.tools.bench_check import bench_check
+
+            return bench_check(self.json)
         from downbeat.tools.bench import run_bench
 
         return run_bench(self.only, self.json)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import tyro
+
 
 @dataclass(frozen=True)
 class Demo:
@@ -36,3 +38,21 @@ class Demo:
         from downbeat.tools.demo import run_demo
 
         return run_demo(self)
+
+
+@dataclass(frozen=True)
+class Rehearse:
+    """Plan and simulate every change that a show can ask for: green, through stand, or red."""
+
+    show: tyro.conf.Positional[Path]
+    """show.toml."""
+    rollouts: int = 64
+    """Simulated per change, from its very phase (rounded up to 64)."""
+    json: bool = False
+    """Print the rows as JSON on standard output."""
+
+    def run(self) -> int:
+        """Rehearse; 0 if every change is proven, straight or through stand."""
+        from downbeat.tools.rehearse import run_rehearse
+
+        return run_rehearse(self.show, self.rollouts, self.json)
