@@ -293,7 +293,7 @@ class Director:
             return
         playback.request_id = request.key[1]
         self._activate(request, playback, now)
-        self._plan = "direct"
+        self._plan = ""  # nothing changes but the phase line
         self._say_running(request, now)
 
     def _start_hop(

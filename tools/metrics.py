@@ -19,6 +19,7 @@ import numpy as np
 from downbeat.lcm_types import audio_source_t, control_status_t, skill_status_t
 from downbeat.tools.errors import ToolError
 from downbeat.tools.metrics_beats import BeatReport, SkillTables, beat_report
+from downbeat.tools.metrics_checks import checks_report
 from downbeat.tools.metrics_sections import SectionResult, evaluate_sections, fallen_spans
 from downbeat.tools.runlog import LOG_NAME, RunLog, read_run
 from downbeat.tools.truth import TRUTH_NAME, Truth, read_truth
@@ -88,6 +89,7 @@ def metrics_of(
         "beat_phase_error_ms": percentiles(beats.errors_ms, (50, 95)),
         "physical_lag_ms": _rounded(beats.physical_lag_ms, 1),
         "transitions": _transitions(log),
+        "checks": checks_report(log),
         "control": _control(log),
         "bus": {
             "lost": int(log.control.states_lost[-1]),

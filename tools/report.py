@@ -119,6 +119,13 @@ def _numbers_table(metrics: dict[str, Any]) -> Table:
     table.add_row("body behind the music", _value(metrics["physical_lag_ms"], "{:.0f} ms"))
     kinds = metrics["transitions"]
     table.add_row("transitions", Text(", ".join(f"{n} {k}" for k, n in kinds.items())))
+    checks = metrics["checks"]
+    if checks["asked"]:
+        told = f"{checks['answered']} of {checks['asked']} plans answered, {checks['refused']} "
+        told += f"refused; {checks['rollouts_fallen']} of {checks['rollouts']} rollouts fell"
+        if checks["latency_ms"] is not None:
+            told += f"; {checks['latency_ms']:.0f} ms each"
+        table.add_row("checked ahead", Text(told))
     chunks = metrics["chunks"]
     table.add_row("windows named right", Text(f"{chunks['correct']} of {chunks['total']}"))
     late = _spread(", lateness", control["lateness_us"], ("p50", "p99", "max"), "us")

@@ -14,7 +14,7 @@ from downbeat.tools import palette
 from downbeat.tools.metrics import first_sample_utime
 from downbeat.tools.metrics_sections import fallen_spans
 from downbeat.tools.runlog import AUDIO_NAME, LOG_NAME, RunLog, read_run
-from downbeat.tools.timeline_panel import WAVE_HZ, Picture, Span, draw_panel
+from downbeat.tools.timeline_panel import WAVE_HZ, Check, Picture, Span, draw_panel
 from downbeat.tools.truth import TRUTH_NAME, Truth, read_truth
 
 TIMELINE_NAME = "timeline.png"
@@ -81,6 +81,7 @@ def gather(log: RunLog, truth: Truth, metrics: dict[str, Any], audio: Path | Non
         danced=danced,
         blends=[span for span in spans(ticks_s[inside], blending) if span.value],
         heard=_heard(log, truth, zero),
+        checks=checks_of(log, zero),
         falls=[((a - zero) * 1e-6, (b - zero) * 1e-6) for a, b in fallen_spans(log)],
         colours=palette.skill_colours([*asked, *(span.value for span in danced)]),
         wave=None if audio is None else _envelope(audio),
@@ -113,6 +114,28 @@ def _heard(log: RunLog, truth: Truth, zero_utime: int) -> list[Span]:
         times.append(time_s)
         states.append(state)
     return spans(np.array(times), np.array(states, dtype=np.str_))
+
+
+def checks_of(log: RunLog, zero_utime: int) -> list[Check]:
+    """Return the plans that were simulated, in order."""
+    answers = {int(m.query_id): m for m in log.events["TRANSITION_VERDICT"]}
+    refused = {
+        (int(m.request_id), m.skill)
+        for m in log.events["SKILL_STATUS"]
+        if "rollouts from here fell" in m.reason and m.reason.startswith("not ")
+    }
+    found = []
+    for query in log.events["TRANSITION_QUERY"]:
+        answer = answers.get(int(query.query_id))
+        asked_s = (query.header.utime - zero_utime) * 1e-6
+        if answer is None or answer.num_rollouts == 0:
+            found.append(Check(asked_s, None, 0, 0, False))
+            continue
+        answered_s = (answer.header.utime - zero_utime) * 1e-6
+        is_refused = (int(query.request_id), query.to_skill) in refused
+        fallen, count = int(answer.num_fallen), int(answer.num_rollouts)
+        found.append(Check(asked_s, answered_s, fallen, count, is_refused and fallen > 0))
+    return found
 
 
 def _envelope(audio: Path, rate_hz: int = WAVE_HZ) -> NDArray[np.float64]:
@@ -181,9 +204,9 @@ def _draw_footer(figure: Any, height_in: float) -> None:
             [], [], color=palette.CUT, linewidth=1.6, linestyle="--", label="start, surprise cut"
         ),
         Patch(facecolor="#9aa0b3", hatch="////", edgecolor="#10121a", label="cross-fade"),
-        Patch(color=palette.GOOD, label="locked on the right track"),
+        Patch(color=palette.GOOD, label="locked on the right track, plan proven"),
         Patch(color=palette.WARNING, label="candidate"),
-        Patch(color=palette.BAD, label="wrong track, missed (\u2717), fall"),
+        Patch(color=palette.BAD, label="wrong track, missed (\u2717), refused, fall"),
     ]
     figure.legend(
         handles=handles,

@@ -16,7 +16,8 @@ PANEL_PX = 1480
 CHARACTER_PX = 11.8
 """Of the labels at their full size."""
 WAVE_HZ = 40
-TRACK_ROW, ASKED_ROW, DANCED_ROW, HEARD_ROW = (3.05, 0.5), (2.05, 0.72), (0.85, 0.72), (0.3, 0.2)
+TRACK_ROW, ASKED_ROW, DANCED_ROW = (3.05, 0.5), (2.05, 0.72), (0.95, 0.72)
+HEARD_ROW, CHECK_ROW = (0.52, 0.2), (0.12, 0.2)
 """Lower edge and height of each row, in the panel's own units."""
 TOP = 3.95
 
@@ -31,6 +32,25 @@ class Span:
 
 
 @dataclass(frozen=True)
+class Check:
+    """A plan that was simulated before it was made.
+
+    Attributes:
+        asked_s: Of the show.
+        answered_s: None: never.
+        fallen: Rollouts that fell.
+        count: Rollouts.
+        refused: The plan was not made.
+    """
+
+    asked_s: float
+    answered_s: float | None
+    fallen: int
+    count: int
+    refused: bool
+
+
+@dataclass(frozen=True)
 class Picture:
     """Everything that is drawn, worked out before anything is drawn."""
 
@@ -39,6 +59,7 @@ class Picture:
     danced: list[Span]
     blends: list[Span]
     heard: list[Span]
+    checks: list[Check]
     falls: list[tuple[float, float]]
     colours: dict[str, str]
     wave: NDArray[np.float64] | None
@@ -64,6 +85,7 @@ def draw_panel(axes: Any, picture: Picture, start_s: float, end_s: float) -> Non
         (ASKED_ROW, "asked"),
         (DANCED_ROW, "danced"),
         (HEARD_ROW, "lock"),
+        (CHECK_ROW, "checked"),
     ):
         axes.annotate(
             label,
@@ -79,6 +101,7 @@ def draw_panel(axes: Any, picture: Picture, start_s: float, end_s: float) -> Non
     _draw_tracks(axes, picture)
     _draw_skills(axes, picture)
     _draw_heard(axes, picture)
+    _draw_checks(axes, picture, start_s, end_s)
     _draw_boundaries(axes, picture, start_s, end_s)
     _draw_falls(axes, picture)
 
@@ -191,6 +214,29 @@ def _draw_heard(axes: Any, picture: Picture) -> None:
             ymax=(bottom + height) / TOP,
             color=colours[span.value],
             linewidth=0,
+        )
+
+
+def _draw_checks(axes: Any, picture: Picture, start_s: float, end_s: float) -> None:
+    """Draw how long each check took, and how many of its rollouts fell."""
+    bottom, height = CHECK_ROW
+    shown_s = 0.006 * (end_s - start_s)
+    for check in picture.checks:
+        if not start_s <= check.asked_s < end_s:
+            continue
+        done = check.answered_s is not None
+        colour = palette.BAD if check.refused or not done else palette.GOOD
+        answered_s = check.answered_s if check.answered_s is not None else check.asked_s
+        right_s = max(answered_s, check.asked_s + shown_s)
+        _bar(axes, CHECK_ROW, (check.asked_s, right_s), color=colour)
+        axes.text(
+            right_s + 0.5 * shown_s,
+            bottom + height / 2,
+            f"{check.fallen}/{check.count}" if done else "no answer",
+            color=palette.MUTED,
+            size=9,
+            va="center",
+            ha="left",
         )
 
 
