@@ -112,6 +112,12 @@ def _extras(
         from downbeat.control.bridge.voice import SERVICE, RobotSpeaker
 
         runs.append(Lights(bus, node.core, RobotSpeaker(open_service(link, SERVICE))))
+    if options.compat:
+        from downbeat.control.bridge.compat import open_compat
+
+        url = parse_udpm_url(options.url or DEFAULT_URL)
+        node.obeys_control = False
+        runs.append(open_compat(url.text(), node.core))
     if not runs:
         return None
 

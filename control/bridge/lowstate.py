@@ -192,6 +192,18 @@ class StateDecoder:
         return self._good[_IMU_FROM : _IMU_FROM + 4]
 
     @property
+    def joints(self) -> tuple[F32, F32, F32]:
+        """Positions [rad], speeds [rad/s], torques [N m], (29,) each."""
+        joints = self._good[:_IMU_FROM].reshape(3, NUM_JOINTS)
+        return joints[0], joints[1], joints[2]
+
+    @property
+    def imu(self) -> tuple[F32, F32, F32, F32]:
+        """Quaternion wxyz (4,), gyro, accelerometer and roll, pitch, yaw (3,) of the pelvis."""
+        numbers = self._good[_IMU_FROM:]
+        return numbers[:4], numbers[4:7], numbers[7:10], numbers[10:]
+
+    @property
     def motor_faults(self) -> npt.NDArray[np.uint32]:
         """(29,) vendor flags; 0: healthy."""
         return np.take(self._words, FAULT_WORDS)

@@ -112,6 +112,8 @@ class BridgeNode:
         self._bus, self._topics, self.core, self._say = bus, topics, core, say
         self._clock = bus.clock
         self.times = BridgeTimes()
+        self.obeys_control = True
+        """G1_LOW_CMD counts; not when another controller takes its place (`--compat`)."""
         self._next_slow = 0
         self._last_write = 0
         self._torso_utime = 0
@@ -184,6 +186,9 @@ class BridgeNode:
         for received in self._bus.take("OPERATOR_COMMAND"):
             core.take_operator(received.msg.command, arrived)
         commands = self._bus.take("G1_LOW_CMD")
+        if not self.obeys_control:
+            core.commands_refused += len(commands)
+            return False
         for received in commands[-1:]:
             core.take_command(received.msg, arrived)
         return bool(commands)
