@@ -168,11 +168,11 @@ class Pair:
             mine = rows[rows["stage"] == stage]
             if len(exits) < WORTH_KEEPING * self.num_exits or not entries:
                 return None
-            if self._is_given_up(mine, depth):
-                continue
             count, fallen = len(mine), int(mine["fell"].sum())
             if upper_bound(fallen, count, CONFIDENCE[stage - 1]) <= depth.target:
                 return None
+            if self._is_given_up(mine, depth):
+                continue
             return Task(index, stage, block, exits, entries)
         return None
 
