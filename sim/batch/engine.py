@@ -185,8 +185,7 @@ def open_engine(
     Raises:
         SimError: It cannot run here.
     """
-    if name == "auto":
-        name = "mjx" if _has_gpu() else "native"
+    name = resolve_engine(name)
     if name == "native":
         from downbeat.sim.batch.native import NativeEngine
 
@@ -195,6 +194,13 @@ def open_engine(
     from downbeat.sim.batch.mjx import MjxEngine
 
     return MjxEngine(manifests, impl="warp" if name == "warp" else "jax")
+
+
+def resolve_engine(name: EngineName) -> EngineName:
+    """Return the engine that "auto" means here; any other name means itself."""
+    if name != "auto":
+        return name
+    return "mjx" if _has_gpu() else "native"
 
 
 def _has_gpu() -> bool:
