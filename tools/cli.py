@@ -12,7 +12,16 @@ from typing import Annotated
 import tyro
 
 from downbeat.runtime.errors import DownbeatError
-from downbeat.tools.commands import catalog, evaluate, operate, policy, processes, robot, show
+from downbeat.tools.commands import (
+    catalog,
+    evaluate,
+    operate,
+    policy,
+    processes,
+    robot,
+    show,
+    sweep,
+)
 
 sub = tyro.conf.subcommand
 
@@ -22,6 +31,8 @@ Command = (
     | Annotated[evaluate.Eval, sub("eval")]
     | Annotated[catalog.CatalogCommand, sub("catalog")]
     | Annotated[policy.Policy, sub("policy")]
+    | Annotated[sweep.Sweep, sub("sweep")]
+    | Annotated[sweep.Atlas, sub("atlas")]
     | Annotated[processes.Sim, sub("sim")]
     | Annotated[processes.Listen, sub("listen")]
     | Annotated[processes.Conduct, sub("conduct")]
