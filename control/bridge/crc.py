@@ -22,6 +22,6 @@ def crc32_words(image: bytes) -> int:
         image: Little-endian 32-bit words, without the checksum itself; its length is a multiple
             of 4.
     """
-    words = np.frombuffer(image, "<u4").byteswap().tobytes().translate(_REVERSED)
-    plain = zlib.crc32(words) ^ 0xFFFFFFFF
+    words = np.frombuffer(image.translate(_REVERSED), np.uint32).byteswap()
+    plain = zlib.crc32(words.data) ^ 0xFFFFFFFF
     return int.from_bytes(plain.to_bytes(4, "little").translate(_REVERSED), "big")

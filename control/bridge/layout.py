@@ -101,13 +101,18 @@ def _state_mask() -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
 _STATE_MASK = _state_mask()
 
 
+def plain_state_image(payload: bytes) -> bytes:
+    """Return the same as `state_image` for a sender that leaves zeros in the gaps, as most do."""
+    return b"".join((payload[4:74], b"\x00\x00", payload[74:75], b"\x00\x00\x00", payload[76:-4]))
+
+
 def state_image(payload: bytes) -> bytes:
     """Return the C struct image of a LowState on the wire, without its checksum, 2088 bytes.
 
     Gaps are zeroed: what a sender leaves in them is no part of its struct.
     """
-    body = (np.frombuffer(payload, np.uint8, STATE_BYTES - 4, 4) & _STATE_MASK).tobytes()
-    return body[:70] + b"\x00\x00" + body[70:71] + b"\x00\x00\x00" + body[72:-4]
+    body = np.frombuffer(payload, np.uint8, STATE_BYTES - 4, 4) & _STATE_MASK
+    return plain_state_image(payload[:4] + body.tobytes())
 
 
 def cmd_image(payload: bytes | bytearray) -> bytes:

@@ -16,6 +16,7 @@ from downbeat.control.bridge.layout import (
     STATE_BYTES,
     STATE_CRC,
     STATE_REMOTE,
+    plain_state_image,
     state_image,
 )
 from downbeat.control.bridge.lowcmd import NUM_JOINTS
@@ -113,6 +114,7 @@ class StateDecoder:
         self._halves: npt.NDArray[np.int16] = self._space[:STATE_BYTES].view("<i2")
         self._candidate = np.zeros(len(LIMITS), np.float32)
         self._magnitude = np.zeros(len(LIMITS), np.float32)
+        self._within = np.zeros(len(LIMITS), np.bool_)
         self._good = np.zeros(len(LIMITS), np.float32)
         self.joint_pos: F32 = self._good[:NUM_JOINTS]
         """(29,) [rad] of the newest good state."""
@@ -131,7 +133,7 @@ class StateDecoder:
         values = self._candidate
         np.take(np.frombuffer(payload, "<f4"), FLOAT_WORDS, out=values)
         np.abs(values, out=self._magnitude)
-        within = self._magnitude <= LIMITS
+        within = np.less_equal(self._magnitude, LIMITS, out=self._within)
         if not within.all():  # also catches a NaN
             worst = int(within.argmin())
             is_motor = worst < _IMU_FROM
@@ -157,8 +159,11 @@ class StateDecoder:
         if payload[0:2] not in LITTLE_ENDIAN_HEADS:
             return BAD_ENCODING
         stored = int.from_bytes(payload[STATE_CRC], "little")
-        is_unfilled = self._lenient and stored == 0
-        if not is_unfilled and stored != crc32_words(state_image(payload)):
+        if (
+            stored != crc32_words(plain_state_image(payload))
+            and stored != crc32_words(state_image(payload))
+            and not (self._lenient and stored == 0)
+        ):
             return BAD_CRC
         mode = payload[13]
         if mode != OURS and not (self._lenient and mode == 0):
