@@ -11,8 +11,7 @@ from downbeat.control.modes import Mode
 from downbeat.control.phase import TICK_S
 from downbeat.control.slots import enters_at_zero, entry_slots
 from downbeat.policies.manifest import SkillManifest
-from downbeat.sim.batch.engine import join_starts
-from downbeat.sim.batch.native import NativeEngine
+from downbeat.sim.batch.engine import Engine, join_starts
 from downbeat.sim.batch.outcome import Outcome
 from downbeat.sim.batch.perturb import Draws
 from downbeat.sim.batch.script import Script, Switch, rate_for, script_of
@@ -84,7 +83,7 @@ def change_script(
 
 
 def simulate(
-    engine: NativeEngine,
+    engine: Engine,
     visits: Visits,
     target: SkillManifest,
     source: SkillManifest,

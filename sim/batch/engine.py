@@ -97,8 +97,18 @@ class Engine(Protocol):
     """Runs scripts."""
 
     name: str
+    manifests: dict[str, SkillManifest]
 
-    def run(self, start: Start, script: Script, draws: Draws, seed: tuple[int, ...]) -> Outcome:
+    def run(
+        self,
+        start: Start,
+        script: Script,
+        draws: Draws,
+        seed: tuple[int, ...],
+        watch: Watch | None = None,
+        last_tick: int | None = None,
+        settle_tick: int | None = None,
+    ) -> Outcome:
         """Simulate N rollouts.
 
         Args:
@@ -106,19 +116,30 @@ class Engine(Protocol):
             script: What plays.
             draws: What is different in each.
             seed: Of the sensor noise.
+            watch: Sees every tick.
+            last_tick: Stop before this tick; None: play the whole script.
+            settle_tick: From here on robots that have calmed down need not be simulated further.
         """
         ...
 
 
 @cache
-def batch_model() -> Any:
+def batch_model(only_soles: bool = False) -> Any:
     """Return the model of all batch engines: the generator's physics at 5 ms, no looks.
 
     Sensors: centre of mass (3) [m] and its velocity (3) [m/s], world.
+
+    Args:
+        only_soles: Nothing but the soles touches anything: MJX computes every contact that could
+            ever be, 366 of them with the whole body (8 with the soles), and a robot counts as
+            fallen before the rest of it touches the floor.
     """
-    spec = mujoco.MjSpec.from_string(
-        g1_mjcf(ModelOptions(timestep_s=SUBSTEP_S, visual=False)),
-    )
+    options = ModelOptions(timestep_s=SUBSTEP_S, visual=False, self_collision=not only_soles)
+    spec = mujoco.MjSpec.from_string(g1_mjcf(options))
+    if only_soles:
+        for geom in spec.geoms:
+            if geom.name != FLOOR and not geom.name.startswith(SOLES):
+                geom.contype = geom.conaffinity = 0
     for kind in (mujoco.mjtSensor.mjSENS_SUBTREECOM, mujoco.mjtSensor.mjSENS_SUBTREELINVEL):
         spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_BODY, objname=PELVIS)
     return spec.compile()

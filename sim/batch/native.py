@@ -28,7 +28,6 @@ from downbeat.sim.batch.engine import (
     model_ids,
     tilt_limit,
 )
-from downbeat.sim.batch.ort import open_batched
 from downbeat.sim.batch.outcome import NEVER, Outcome, capture_margin
 from downbeat.sim.batch.perturb import PUSH_S, Draws
 from downbeat.sim.batch.script import Script
@@ -75,6 +74,9 @@ class NativeEngine:
     def skill(self, name: str) -> BatchSkill:
         """Return a skill for many robots."""
         if name not in self._skills:
+            # Late: our own skills need no runtime, and some machines have none.
+            from downbeat.sim.batch.ort import open_batched
+
             self._skills[name] = batch_skill(self.manifests[name], open_batched)
         return self._skills[name]
 

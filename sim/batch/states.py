@@ -17,8 +17,7 @@ from downbeat.catalog.robot import load_g1
 from downbeat.control.phase import TICK_S
 from downbeat.control.slots import Slots, enters_at_zero, exit_slots
 from downbeat.policies.manifest import SkillManifest
-from downbeat.sim.batch.engine import Start, batch_model, join_starts
-from downbeat.sim.batch.native import NativeEngine
+from downbeat.sim.batch.engine import Engine, Start, batch_model, join_starts
 from downbeat.sim.batch.perturb import Draws
 from downbeat.sim.batch.script import Switch, rate_for, script_of
 from downbeat.sim.gantry import settle
@@ -88,9 +87,7 @@ def onset_phases(slots: Slots, rng: np.random.Generator, count: int) -> F64:
     return middle + np.where(rng.uniform(size=count) < 0.5, 0.0, anywhere)
 
 
-def visit(
-    engine: NativeEngine, skill: SkillManifest, draws: Draws, seed: tuple[int, ...]
-) -> Visits:
+def visit(engine: Engine, skill: SkillManifest, draws: Draws, seed: tuple[int, ...]) -> Visits:
     """Let every robot play a skill and catch it before each exit slot."""
     slots, count = exit_slots(skill), draws.count
     rng = np.random.default_rng([*seed, 0x7157])
