@@ -79,13 +79,14 @@ def direct_plan(
         earliest_utime: The blend starts no earlier [us].
         vetoes: Plans that were refused already.
     """
-    best: tuple[tuple[int, int, int], Plan] | None = None
+    best: tuple[tuple[int, bool, int, int], Plan] | None = None
     for order, mode in enumerate(modes_between(active, goal.skill)):
         if (active.name, goal.skill.name, mode.name) not in atlas.cells:
             continue
         half = half_us(mode.blend_ticks)
         for onset, beats in _onsets(goal, earliest_utime + half, now):
-            cost = (abs(onset - max(goal.onset_utime, earliest_utime + half)), beats, order)
+            miss = abs(onset - max(goal.onset_utime, earliest_utime + half))
+            cost = (miss, beats % BAR_BEATS != 0, beats, order)
             if best is not None and cost >= best[0]:
                 continue
             plan = _judge(atlas, active, follower, goal, now, mode, onset, beats)
