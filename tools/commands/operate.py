@@ -147,10 +147,10 @@ class Doctor:
 class Bench:
     """Print what things cost here; `control`: the control loop against the clock and a C loop."""
 
-    what: tyro.conf.Positional[Literal["table", "control", "bridge", "check"]] = "table"
+    what: tyro.conf.Positional[Literal["table", "control", "bridge", "check", "batch"]] = "table"
     """table: tick, codec, fingerprint query, generator, lockstep speed; control: real time;
     bridge: latency, loss and processor time between DDS and LCM; check: an online check beside the
-    bare physics of the same steps."""
+    bare physics of the same steps; batch: physics steps per second of the batch engines."""
     only: tuple[str, ...] = ()
     """table: names of benchmarks; none: all."""
     seconds: float = 14.0
@@ -181,6 +181,10 @@ class Bench:
             from downbeat.tools.bench_check import bench_check
 
             return bench_check(self.json)
+        if self.what == "batch":
+            from downbeat.tools.bench_batch import bench_batch
+
+            return bench_batch(self.json)
         from downbeat.tools.bench import run_bench
 
         return run_bench(self.only, self.json)
