@@ -41,7 +41,8 @@ _WAIT: Any = ctypes.CFUNCTYPE(
 """The library's own `wait` without its checks of arguments: 500 calls a second."""
 KEPT_SAMPLES = 32
 """A reader keeps this many: 64 ms of states, so that a gap is a gap and not our own delay."""
-MAX_TAKE = 64
+TAKEN_AT_ONCE = 4
+"""One is there as a rule; the library makes room for as many as one asks for."""
 
 
 class RawReader:
@@ -68,10 +69,14 @@ class RawReader:
 
     def take(self) -> list[bytes]:
         """Return what has come since the last take, oldest first; never raises."""
-        taken = ddspy_take(self._ref, ANY_STATE, MAX_TAKE)
-        if isinstance(taken, int):
-            return []
-        return [data for data, info in taken if info.valid_data]
+        samples: list[bytes] = []
+        while True:
+            taken = ddspy_take(self._ref, ANY_STATE, TAKEN_AT_ONCE)
+            if isinstance(taken, int):
+                return samples
+            samples += [data for data, info in taken if info.valid_data]
+            if len(taken) < TAKEN_AT_ONCE:
+                return samples
 
 
 class RawWriter:

@@ -19,7 +19,7 @@ from downbeat.runtime.bus import Bus
 log = logging.getLogger("downbeat.bridge")
 
 PERIOD_US = 2_000
-LATE_US = 500
+LATE_US = 1_000
 """A state may be so late before the last command is repeated without it."""
 LEAST_GAP_US = 1_500
 """A robot that reports faster than 500 Hz is not answered faster."""
@@ -87,7 +87,7 @@ class RobotTopics:
 class BridgeNode:
     """Node "bridge": woken by the robot's states and by control's commands, 500 times a second.
 
-    Every state is decoded, judged and passed on; every LowCmd answers one, or comes 2.5 ms after
+    Every state is decoded, judged and passed on; every LowCmd answers one, or comes 3 ms after
     the last when none arrives. A new command goes out at once, between two states too.
     """
 
