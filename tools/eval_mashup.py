@@ -31,6 +31,12 @@ def dance_names() -> list[str]:
     return [n for n, m in skills.items() if m.bpm > 0 and m.kind != "locomotion"]
 
 
+def long_motions(folder: Path, section_s: float) -> list[str]:
+    """Return the imported motions that last for a section: a one-shot ends in stand."""
+    skills = load_skills(folder)
+    return [n for n, m in skills.items() if m.kind == "tracking" and m.duration_s >= section_s]
+
+
 def run_eval_mashup(args: MashupArgs) -> int:
     """Build, run, report; 0 if the robot stayed up and followed every section."""
     if args.section_seconds < 5.0 or args.sections < 2:
@@ -40,6 +46,8 @@ def run_eval_mashup(args: MashupArgs) -> int:
         )
     run_dir = new_run_dir(args.runs)
     skills: Sequence[str] = dance_names() if args.rules is None else sorted(load_skills())
+    if args.imported is not None and args.rules is None:
+        skills = sorted({*skills, *long_motions(args.imported, args.section_seconds)})
     library = build_library(args.tracks, run_dir / "catalog", skills, args.seed, args.rules, say)
     tracks = {n: with_duration(t, library.recordings[n]) for n, t in library.tracks.items()}
     set_list, left_out = seeded_set_list(

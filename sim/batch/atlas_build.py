@@ -19,7 +19,8 @@ from downbeat.sim.batch.store import Store
 def open_pair(store: Store, a: SkillManifest, b: SkillManifest) -> Pair:
     """Return what a sweep knows about an ordered pair."""
     parts = PARTS_PER_BEAT if a.kind == "stepping" else 1
-    pair = Pair(modes_between(a, b), exit_slots(a).count, entry_slots(b).count, parts)
+    hints = store.hints().get(a.name)
+    pair = Pair(modes_between(a, b), exit_slots(a).count, entry_slots(b).count, parts, hints)
     rows = store.load(a, b)
     if len(rows):
         pair.add(rows)

@@ -6,8 +6,9 @@ none of it: whatever kills the sweep, no row is lost that was counted, and none 
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from hashlib import blake2b
 from pathlib import Path
 
@@ -73,6 +74,23 @@ class Store:
             file.flush()
             os.fsync(file.fileno())
         os.replace(draft, path)
+
+    def hints(self) -> dict[str, tuple[int, ...]]:
+        """Return the exit slots that the first pass found good, by source; empty before it."""
+        if not self._hints.exists():
+            return {}
+        table = json.loads(self._hints.read_text(encoding="utf-8"))
+        return {name: tuple(slots) for name, slots in table.items()}
+
+    def save_hints(self, hints: Mapping[str, tuple[int, ...]]) -> None:
+        """Keep the good exit slots: what follows must not depend on rows that come later."""
+        draft = self._hints.with_name(f".{self._hints.name}.{os.getpid()}")
+        draft.write_text(json.dumps({n: list(s) for n, s in hints.items()}), encoding="utf-8")
+        os.replace(draft, self._hints)
+
+    @property
+    def _hints(self) -> Path:
+        return self.folder / f"hints.{self.world}.json"
 
     def files(self) -> Iterator[Path]:
         """Yield all pair files."""

@@ -137,7 +137,8 @@ class Worker:
     def open_pair(self, a: SkillManifest, b: SkillManifest) -> Pair:
         """Return what is known about a pair."""
         parts = PARTS_PER_BEAT if a.kind == "stepping" else 1
-        pair = Pair(modes_between(a, b), exit_slots(a).count, entry_slots(b).count, parts)
+        hints = self.store.hints().get(a.name)
+        pair = Pair(modes_between(a, b), exit_slots(a).count, entry_slots(b).count, parts, hints)
         rows = self.store.load(a, b)
         if len(rows):
             pair.add(rows)
@@ -252,6 +253,39 @@ def die_with_parent() -> None:
     parent = parent_process()
     if parent is not None and parent.pid is not None:
         realtime.die_with_parent(parent.pid, signal.SIGKILL)
+
+
+def refine_sweep(
+    config: SweepConfig,
+    say: Callable[[Progress], None] = lambda _: None,
+    spread: Callable[[SweepConfig, Sequence[Unit]], Iterator[tuple[Unit, int]]] | None = None,
+) -> Progress:
+    """Try the pairs that were not proven once more, in the slots that proved good for others.
+
+    Needs the rows of all pairs: after the shards of a sweep were put together.
+    """
+    skills = sweep_skills(config)
+    store = Store(config.out, load_profile(config.profile), config.seed)
+    if not store.hints():
+        store.save_hints({n: good_exits(store, m, skills) for n, m in skills.items()})
+    return run_sweep(config, say, spread)
+
+
+GOOD_SHARE = 0.2
+"""A slot is good when less than this times the target falls there, all targets together."""
+
+
+def good_exits(
+    store: Store, source: SkillManifest, skills: Mapping[str, SkillManifest]
+) -> tuple[int, ...]:
+    """Return the exit slots of a skill at which next to nobody falls, wherever it leads."""
+    parts = [store.load(source, target) for target in skills.values() if target.name != source.name]
+    rows = np.concatenate(parts) if parts else np.zeros(0, ROW)
+    slots = exit_slots(source).count
+    count = np.bincount(rows["exit_slot"], minlength=slots)
+    fallen = np.bincount(rows["exit_slot"][rows["fell"]], minlength=slots)
+    good = fallen <= GOOD_SHARE * Depth().target * count
+    return tuple(int(slot) for slot in np.flatnonzero(good))
 
 
 def spread_processes(config: SweepConfig, units: Sequence[Unit]) -> Iterator[tuple[Unit, int]]:
