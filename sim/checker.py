@@ -23,8 +23,7 @@ from downbeat.lcm_types import transition_query_t, transition_verdict_t
 from downbeat.policies.manifest import SkillManifest
 from downbeat.runtime.bus import Bus
 from downbeat.runtime.errors import DownbeatError
-from downbeat.sim.batch.engine import batch_model
-from downbeat.sim.batch.native import NativeEngine
+from downbeat.sim.batch.engine import EngineName, batch_model, open_engine
 from downbeat.sim.batch.outcome import Outcome, join_outcomes
 from downbeat.sim.batch.perturb import BLOCK, Draws, Profile, draw_block, load_profile
 from downbeat.sim.batch.proof import fixed_upper_bound
@@ -71,9 +70,22 @@ class Checker:
         atlas: Atlas,
         proof: ProofConfig,
         threads: int = 0,
+        engine: EngineName = "native",
     ) -> None:
+        """Open the engine and every skill.
+
+        Args:
+            manifests: Whatever may be played.
+            atlas: What control has.
+            proof: What control asks for.
+            threads: Of the native engine; 0: one per core.
+            engine: Who simulates.
+
+        Raises:
+            SimError: The engine cannot run here.
+        """
         self.manifests, self.atlas, self.proof = dict(manifests), atlas, proof
-        self.engine = NativeEngine(manifests, threads)
+        self.engine: Any = open_engine(engine, manifests, threads)
         for name in self.manifests:
             self.engine.skill(name)
         self.model_hash = model_hash()
@@ -139,7 +151,8 @@ class Checker:
         seed = (int(query.seed) & 0xFFFFFFFF, first)
         start = perturbed_start(query, plan, profile, draws.count, seed[0] + 7919 * first)
         settle = max(plan.onset_tick, 0) + round(SETTLE_S * 50)
-        outcome = self.engine.run(start, plan.script, draws, seed, watch, settle_tick=settle)
+        look = watch if self.engine.name == "native" else None  # MJX would record every tick
+        outcome = self.engine.run(start, plan.script, draws, seed, look, settle_tick=settle)
         spent = (time.perf_counter() - began) / (draws.count * plan.script.ticks)
         self._rollout_tick_s = 0.5 * (self._rollout_tick_s + spent)
         return outcome

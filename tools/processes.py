@@ -77,12 +77,13 @@ def run_process(name: str, args: ProcessArgs) -> int:
         run_node(recorder, clock, open_udpm(url, clock, name))
         return 0
     bus = open_udpm(url, clock, name)
+    if name == "checker":
+        return _checker(show, bus, clock, getattr(args, "engine", "native"))
     starters = {
         "sim": _sim,
         "control": _control,
         "listener": _listener,
         "conductor": _conductor,
-        "checker": _checker,
     }
     return starters[name](show, bus, clock)
 
@@ -123,9 +124,9 @@ def _conductor(show: Show, bus: Bus, clock: WallClock) -> int:
     return 0
 
 
-def _checker(show: Show, bus: Bus, clock: WallClock) -> int:
+def _checker(show: Show, bus: Bus, clock: WallClock, engine: str = "native") -> int:
     become_idle()
-    node = make_checker(show, bus, is_simulated_time=False)
+    node = make_checker(show, bus, is_simulated_time=False, engine=engine)
     if node is None:
         raise ToolError(f"{show.folder / SHOW_NAME} asks for no checker (checker, transitions).")
     run_node(node, clock, bus)

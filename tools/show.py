@@ -215,14 +215,14 @@ def has_checker(show: Show) -> bool:
     return wanted and (bool(settings.atlas) or BUNDLED_ATLAS.exists())
 
 
-def make_checker(show: Show, bus: Bus, is_simulated_time: bool) -> Any:
+def make_checker(show: Show, bus: Bus, is_simulated_time: bool, engine: str = "native") -> Any:
     """Build the checker process; None if the show has none."""
     atlas = show_atlas(show)
     if atlas is None or not show.config.checker:
         return None
     from downbeat.sim.checker import Checker, CheckerNode
 
-    checker = Checker(show_skills(show), atlas, show_proof(show))
+    checker = Checker(show_skills(show), atlas, show_proof(show), engine=cast(Any, engine))
     return CheckerNode(bus, checker, is_simulated_time)
 
 

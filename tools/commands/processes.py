@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,9 @@ class Record(ProcessArgs):
 @dataclass(frozen=True)
 class Check(ProcessArgs):
     """Run the checker: TRANSITION_QUERY in, simulated, TRANSITION_VERDICT out, at idle priority."""
+
+    engine: Literal["auto", "native", "mjx", "warp"] = "native"
+    """Who simulates; auto: MJX where there is a GPU."""
 
     def run(self) -> int:
         """Run until told to stop."""
