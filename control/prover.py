@@ -62,7 +62,7 @@ class ProofConfig:
     rollouts: int = 32
     horizon_s: float = 2.0
     ask_ahead_us: int = 800_000
-    patience_us: int = 400_000
+    patience_us: int = 300_000
     use_checker: bool = False
     policy: Policy = "proven"
 

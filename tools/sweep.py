@@ -20,7 +20,14 @@ from downbeat.sim.batch.engine import EngineName, check_versions, resolve_engine
 from downbeat.sim.batch.pair import QUICK, Depth
 from downbeat.sim.batch.parquet import has_parquet, write_parquet
 from downbeat.sim.batch.perturb import load_profile
-from downbeat.sim.batch.sweep import Progress, SweepConfig, pairs_of, run_sweep, sweep_skills
+from downbeat.sim.batch.sweep import (
+    Progress,
+    SweepConfig,
+    pairs_of,
+    refine_sweep,
+    run_sweep,
+    sweep_skills,
+)
 from downbeat.tools.atlas_plot import draw_atlas
 from downbeat.tools.atlas_report import (
     as_json,
@@ -77,6 +84,14 @@ def sweep(options: SweepOptions) -> int:
     _claim_folder(options.out, config)
     with SweepProgress(len(pairs_of(skills, config.shard)), to_stderr=options.json) as progress:
         done = run_sweep(config, progress, spread)
+    if config.shard == (0, 1) and not options.quick:
+        # Needs the rows of every pair; what shards left unproven is tried when they are merged.
+        pairs = len(pairs_of(skills, config.shard))
+        with SweepProgress(pairs, to_stderr=options.json) as progress:
+            more = refine_sweep(config, progress, spread)
+        done = replace(
+            done, rollouts=done.rollouts + more.rollouts, seconds=done.seconds + more.seconds
+        )
     atlas_dir = options.atlas or options.out / "atlas"
     build_atlas(atlas_dir, config.out, skills, profile, config.seed)
     return _report(options, config, done, atlas_dir)

@@ -45,6 +45,8 @@ PUSH_TICKS = round(PUSH_S / TICK_S)
 MARGIN_TICKS = 5
 """The capture point is looked at ten times a second; everything else in every tick."""
 FALLEN_BELOW_M = 0.5
+KEPT_BATCHES = 1
+"""Of how many sizes the simulations are kept; the idle threads of more would only spin."""
 SETTLE_TICKS = 25
 SETTLE_MARGINS = SETTLE_TICKS // MARGIN_TICKS
 SETTLED_ERROR_RAD = 0.035
@@ -102,7 +104,9 @@ class NativeEngine:
             settle_tick: From here on robots that have calmed down are not simulated further.
         """
         if start.count not in self._batches:
-            self._batches = {start.count: _Simulations(start.count, self.threads)}
+            if len(self._batches) >= KEPT_BATCHES:
+                self._batches.pop(next(iter(self._batches)))
+            self._batches[start.count] = _Simulations(start.count, self.threads)
         simulations = self._batches[start.count]
         simulations.prepare(start, draws)
         run = _Run(self, simulations, start, script, draws, seed)
