@@ -34,6 +34,8 @@ PLAN_AHEAD_US = 4_000_000
 """Farther ahead than this a goal is not planned for."""
 GOAL_MOVED_US = 40_000
 """A goal that moves by more makes its plan void."""
+SILENT_US = 5_000_000
+"""A checker that missed a deadline is taken for dead for this long."""
 VETO_US = 1_000_000
 """A refused plan may be proposed again after this: the robot has moved on."""
 
@@ -49,6 +51,7 @@ class ProofConfig:
         checked: Bound of the atlas that is enough together with an online check.
         unchecked: Bound that is enough alone, when no check answers.
         rollouts: Asked of the checker.
+        hurried_rollouts: Asked when a change is wanted at once.
         horizon_s: Simulated after the onset [s].
         ask_ahead_us: Before the last moment at which the way through stand is still open.
         patience_us: A change that is wanted at once waits at most this long for its check.
@@ -60,9 +63,10 @@ class ProofConfig:
     checked: float = 0.01
     unchecked: float = 0.003
     rollouts: int = 32
+    hurried_rollouts: int = 8
     horizon_s: float = 2.0
     ask_ahead_us: int = 800_000
-    patience_us: int = 300_000
+    patience_us: int = 140_000
     use_checker: bool = False
     policy: Policy = "proven"
 
@@ -98,7 +102,7 @@ class ProverState:
         veto_utime: When the last of them was refused [us].
         key: The present request.
         queries: Questions asked so far.
-        unanswered: Deadlines in a row that passed without an answer.
+        silent_until_utime: The checker is not waited for before this [us]: it was too late.
     """
 
     chosen: Chosen | None = None
@@ -106,15 +110,23 @@ class ProverState:
     veto_utime: int = 0
     key: Key = (0, 0)
     queries: int = 0
-    unanswered: int = 0
+    silent_until_utime: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What the checker is asked in this tick."""
+    """What the checker is asked in this tick.
+
+    Attributes:
+        query_id: Of the question.
+        deadline_utime: Of the answer [us].
+        rollouts: Wanted.
+        chosen: The plan.
+    """
 
     query_id: int
     deadline_utime: int
+    rollouts: int
     chosen: Chosen
 
 
@@ -173,7 +185,7 @@ class Prover:
         self._maybe_ask(at, chosen, out)
         if chosen.plan.hop.start_utime > at.now + TICK_US // 2:
             return chosen.plan.hop
-        if self._may_go(chosen):
+        if chosen.is_safe or chosen.plan.bound <= self._alone(at):
             return chosen.plan.hop
         self._veto(chosen, "no check in time, and the atlas alone is not sure enough", at.now)
         return out
@@ -183,11 +195,12 @@ class Prover:
         self.words = []
         for msg in verdicts:
             chosen = self.state.chosen
-            self.state.unanswered = 0
             if chosen is None or msg.query_id != chosen.query_id or chosen.is_safe:
                 continue
             if msg.verdict == transition_verdict_t.TIMED_OUT or msg.num_rollouts <= 0:
+                chosen.deadline_utime = min(chosen.deadline_utime, now - 1)
                 continue
+            self.state.silent_until_utime = 0
             fallen, count = int(msg.num_fallen), int(msg.num_rollouts)
             if is_refused(chosen.plan.bound, fallen, count):
                 self._veto(chosen, f"{fallen} of {count} rollouts from here fell", now)
@@ -210,12 +223,15 @@ class Prover:
     def _is_known(self, active: SkillManifest, target: SkillManifest) -> bool:
         return (active.name, target.name) in self.atlas.pairs
 
-    @property
-    def _limit(self) -> float:
-        """The bound that is enough: a check will follow, or it will not."""
+    def _alone(self, at: Situation) -> float:
+        """Return the bound that is enough without a check; in stand there is no safer way."""
+        return self.config.checked if at.active.name == "stand" else self.config.unchecked
+
+    def _limit(self, at: Situation) -> float:
+        """Return the bound that is enough: a check will follow, or it will not."""
         config = self.config
-        alive = config.use_checker and self.state.unanswered == 0
-        return config.checked if alive else config.unchecked
+        alive = config.use_checker and at.now >= self.state.silent_until_utime
+        return config.checked if alive else self._alone(at)
 
     def _pursue(self, at: Situation) -> Chosen | None:
         """Return the plan to pursue: the one that was asked about, or the best one now."""
@@ -223,8 +239,8 @@ class Prover:
         chosen = state.chosen
         if chosen is not None and not self._is_void(chosen, at):
             if chosen.query_id and not chosen.is_safe and at.now > chosen.deadline_utime:
-                state.unanswered += 1
-                if chosen.plan.bound > self.config.unchecked:
+                state.silent_until_utime = at.now + SILENT_US
+                if chosen.plan.bound > self._alone(at):
                     self._veto(chosen, "the checker did not answer in time", at.now)
                     chosen = None
             if chosen is not None and (chosen.query_id or not self.config.use_checker):
@@ -237,9 +253,12 @@ class Prover:
         """Return the earliest of: a plan that needs no check, and one that has time for it."""
         config, state = self.config, self.state
         plans = []
+        limit, alive = self._limit(at), at.now >= state.silent_until_utime
+        # In stand an answer is worth waiting for as long as somebody may answer.
         limits = {config.unchecked: at.now}
-        if self._limit > config.unchecked:
-            limits[self._limit] = at.now + config.patience_us
+        if limit > config.unchecked:
+            wait_us = config.patience_us if config.use_checker and alive else 0
+            limits[limit] = at.now + wait_us
         for limit, earliest in limits.items():
             plan = direct_plan(
                 self.atlas,
@@ -264,9 +283,6 @@ class Prover:
             or chosen.plan.hop.start_utime < at.now - TICK_US
         )
 
-    def _may_go(self, chosen: Chosen) -> bool:
-        return chosen.is_safe or chosen.plan.bound <= self.config.unchecked
-
     def _maybe_ask(self, at: Situation, chosen: Chosen, out: Hop | None) -> None:
         config, state = self.config, self.state
         if chosen.query_id or not config.use_checker:
@@ -278,8 +294,10 @@ class Prover:
         state.queries += 1
         chosen.query_id = state.queries
         # Announced: answered while the way through stand is open. At once: before its start.
-        chosen.deadline_utime = start if last - at.now < config.patience_us else last
-        self.question = Question(chosen.query_id, chosen.deadline_utime, chosen)
+        hurried = last - at.now < config.patience_us
+        chosen.deadline_utime = start if hurried else last
+        count = config.hurried_rollouts if hurried else config.rollouts
+        self.question = Question(chosen.query_id, chosen.deadline_utime, count, chosen)
         self._say(skill_status_t.PLANNING, chosen, f"atlas {chosen.plan.bound:.1%}, checking")
 
     # ------------------------------------------------------------------ otherwise
@@ -297,7 +315,7 @@ class Prover:
         lead = half_us(blend) + STAND_HOLD_TICKS * TICK_US + half_us(PLANTED_BLEND_TICKS)
         onset = max(goal.onset_utime - lead, 0) if goal.onset_utime > at.now else 0
         halt = Goal(self.stand, PhaseLine(at.now, 0.0, 1.0), onset)
-        limit = max(self.config.checked, self._limit)
+        limit = self.config.checked
         plan = direct_plan(self.atlas, at.active, at.follower, halt, at.now, limit, at.now)
         if plan is not None:
             return plan.hop

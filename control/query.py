@@ -49,7 +49,7 @@ def transition_query(
     query.entry_phase_s = max(plan.hop.shift_s, 0.0)
     query.blend_s = plan.hop.blend_ticks * TICK_S
     query.mode = plan.mode
-    query.num_rollouts = proof.rollouts
+    query.num_rollouts = question.rollouts
     query.horizon_s = proof.horizon_s
     query.seed = question.query_id
     query.profile = PROFILE

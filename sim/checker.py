@@ -29,20 +29,23 @@ from downbeat.sim.batch.outcome import Outcome, join_outcomes
 from downbeat.sim.batch.perturb import BLOCK, Draws, Profile, draw_block, load_profile
 from downbeat.sim.batch.proof import fixed_upper_bound
 from downbeat.sim.batch.rehearsal import Rehearsal, perturbed_start, rehearse
+from downbeat.sim.batch.script import script_of
+from downbeat.sim.batch.states import standing_start
 
 SMALLEST_CHUNK = 8
 """Rollouts per call of the engine when time is short; with time they all run together."""
 MAX_ROLLOUTS = 256
 CHECK_SEED = 1
 """Robots of the sweep have seed 0."""
-HEADROOM = 1.3
+WARM_UP_ROLLOUTS, WARM_UP_TICKS = 16, 25
+HEADROOM = 1.2
 """A chunk is begun when this many times its usual duration is left."""
 SETTLE_S = 1.0
 """Robots that have calmed down this long after the onset are not simulated further."""
 ANSWER_MARGIN_US = 30_000
 """Kept free before the deadline for the way back."""
 LOCKSTEP_LATENCY_US = 240_000
-"""How long a check takes in simulated time; measured on 2 cores (`downbeat bench check`)."""
+"""How long 32 rollouts take in simulated time; measured on 2 cores (`downbeat bench check`)."""
 
 log = logging.getLogger("downbeat.sim")
 
@@ -92,8 +95,20 @@ class Checker:
         for name in self.manifests:
             self.engine.skill(name)
         self.model_hash = model_hash()
-        self._rollout_tick_s = 1.5e-4
+        self._rollout_tick_s = 0.0
         """Duration of one tick of one rollout, as measured last."""
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Allocate everything, and learn how fast this machine is."""
+        stand = self.manifests["stand"]
+        script = script_of(stand, np.zeros(1), np.ones(1), (), WARM_UP_TICKS)
+        draws = robots_of(load_profile(), 0, WARM_UP_ROLLOUTS)
+        for _ in range(3):
+            began = time.perf_counter()
+            self.engine.run(standing_start(draws.count), script, draws, (0,))
+            spent = time.perf_counter() - began
+            self._rollout_tick_s = spent / (WARM_UP_ROLLOUTS * WARM_UP_TICKS)
 
     def check(
         self, query: transition_query_t, time_left_s: Callable[[], float] = lambda: 1e9
@@ -180,6 +195,11 @@ class Checker:
         return msg
 
 
+def lockstep_latency_us(rollouts: int) -> int:
+    """Return how long a check takes in simulated time [us]: a fixed part and its rollouts."""
+    return round(LOCKSTEP_LATENCY_US * (0.25 + 0.75 * rollouts / 32) / 20_000) * 20_000
+
+
 @lru_cache(maxsize=64)
 def robots_of(profile: Profile, first: int, count: int) -> Draws:
     """Return the robots of every check: the same ones, so that their models are made only once."""
@@ -222,7 +242,7 @@ class CheckerNode:
             self._waiting.append(self._answer(received.msg, utime))
         while self._waiting and self._waiting[0][0] <= utime:
             _, verdict = self._waiting.pop(0)
-            verdict.header.utime = utime
+            verdict.header.utime = self._bus.clock.utime()
             self._bus.publish("TRANSITION_VERDICT", verdict)
 
     def _answer(self, query: transition_query_t, utime: int) -> tuple[int, transition_verdict_t]:
@@ -242,8 +262,9 @@ class CheckerNode:
             answer = Answer(None, 0)
         if not self._lockstep:
             return utime, self._checker.verdict(query, answer)
-        answer = Answer(answer.outcome, LOCKSTEP_LATENCY_US)
-        return utime + LOCKSTEP_LATENCY_US, self._checker.verdict(query, answer)
+        took_us = lockstep_latency_us(int(query.num_rollouts))
+        answer = Answer(answer.outcome, took_us)
+        return utime + took_us, self._checker.verdict(query, answer)
 
     def close(self) -> None:
         """Nothing to release."""

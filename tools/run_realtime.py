@@ -43,7 +43,8 @@ MODES = {v: k for k, v in vars(control_status_t).items() if k.isupper() and isin
 class Watcher:
     """What the operator's seat sees: the bus, listening only but for the go."""
 
-    def __init__(self, url: str, clock: WallClock) -> None:
+    def __init__(self, url: str, clock: WallClock, wanted: frozenset[str]) -> None:
+        self.wanted = wanted
         self.bus = open_udpm(url, clock, "operator")
         self.clock = clock
         self.bus.subscribe(
@@ -84,7 +85,7 @@ class Watcher:
 
     def is_ready(self) -> bool:
         """Whether every process is up and the robot has stood for a while."""
-        up = {"sim", "control", "listener", "conductor"} <= self.ready
+        up = self.wanted <= self.ready
         since = self.standing_since
         return up and since is not None and self.clock.utime() - since > STANDING_S * 1e6
 
@@ -104,6 +105,12 @@ class Watcher:
         return (self.clock.utime() - self.first_sample_utime) * 1e-6
 
 
+def needed_by(show: Show) -> frozenset[str]:
+    """Return the processes that must be up before the music starts."""
+    names = {"sim", "control", "listener", "conductor"}
+    return frozenset(names | ({"checker"} if has_checker(show) else set()))
+
+
 def run_realtime(show: Show, run_dir: Path, duration_s: float, url: str) -> None:
     """Start the process table, wait for the robot to stand, play, stop.
 
@@ -113,7 +120,7 @@ def run_realtime(show: Show, run_dir: Path, duration_s: float, url: str) -> None
     url = default_url(url)
     refuse_company(url)
     base = TimeBase.now()
-    watcher = Watcher(url, WallClock(base))
+    watcher = Watcher(url, WallClock(base), needed_by(show))
     logs = log_folder(run_dir)
     specs = [
         ProcessSpec(
@@ -184,7 +191,7 @@ def live_table(watcher: Watcher, supervisor: Supervisor, duration_s: float) -> T
     table.add_column("now", min_width=56)
     show_s = watcher.show_s()
     if show_s is None:
-        missing = {"sim", "control", "listener", "conductor"} - watcher.ready
+        missing = watcher.wanted - watcher.ready
         wait = f"waiting for {', '.join(sorted(missing))}" if missing else "the robot gets up"
         table.add_row("show", wait)
     else:

@@ -44,7 +44,7 @@ def verdict(query: Any, fallen: int = 0, count: int = 32) -> Any:
 class ProofRig(Rig):
     """A rig whose core proves, with a checker that answers what the test says."""
 
-    def __init__(self, library: Any, atlas: Atlas, answer: Any = 0, delay_ticks: int = 10) -> None:
+    def __init__(self, library: Any, atlas: Atlas, answer: Any = 0, delay_ticks: int = 5) -> None:
         """Answer every query with so many falls (or a function of it) some ticks later.
 
         None: never.

@@ -88,7 +88,7 @@ def test_a_dead_checker_is_not_waited_for_twice(library):
 def test_a_wish_for_now_waits_for_its_check_but_not_longer(library):
     rig, wanted = dance(library, atlas_of(0.009, PAIR), ahead_s=0.0)
     assert plan_of(rig) == "blended"
-    assert 300_000 <= onset_of(rig) - wanted <= 700_000
+    assert 140_000 <= onset_of(rig) - wanted <= 500_000
 
 
 def test_a_strictly_proven_wish_for_now_does_not_wait(library):

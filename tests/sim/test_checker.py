@@ -16,7 +16,7 @@ from downbeat.runtime.bus import MemqHub
 from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock
 from downbeat.sim.batch.bench_check import capture_query
 from downbeat.sim.batch.rehearsal import SilentLibrary, _estimate, rehearse
-from downbeat.sim.checker import LOCKSTEP_LATENCY_US, Checker, CheckerNode
+from downbeat.sim.checker import Checker, CheckerNode, lockstep_latency_us
 
 PROOF = ProofConfig(use_checker=True)
 
@@ -101,7 +101,7 @@ def test_without_time_it_says_so_at_once(checker, query):
 def test_in_lockstep_the_answer_takes_the_time_that_it_takes(checker, query):
     wire = Wire(checker, True)
     assert wire.ask(query, 5_000_000) == []
-    wire.clock.advance_to(SIM_EPOCH_UTIME + LOCKSTEP_LATENCY_US)
+    wire.clock.advance_to(SIM_EPOCH_UTIME + lockstep_latency_us(8))
     wire.node.step(wire.clock.utime())
     (verdict,) = wire.answers()
     assert verdict.num_rollouts == 8
