@@ -78,7 +78,10 @@ def check_types() -> CheckResult:
             f"{', '.join(stale)} not what lcm-gen makes of the .lcm files",
             "cd lcm_types && lcm-gen --python --ppath ../.. *_t.lcm, or install Downbeat again",
         )
-    return ok("types", f"{len(names)} types, as lcm-gen makes them; the Java jar is made of the same files")
+    return ok(
+        "types",
+        f"{len(names)} types, as lcm-gen makes them; the Java jar is made of the same files",
+    )
 
 
 def check_dds_version() -> CheckResult:

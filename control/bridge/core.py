@@ -5,7 +5,6 @@ Pure: no bus, no clock. Inputs are handed in with their time, `output` says what
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from downbeat.control.bridge.lowcmd import NUM_JOINTS, LowCmdFrame
 from downbeat.control.bridge.lowstate import StateDecoder
 from downbeat.control.bridge.settings import BridgeSettings
-from downbeat.control.bridge.stages import SILENT, Stage
+from downbeat.control.bridge.stages import SILENT, Outbox, Stage
 from downbeat.control.bridge.stand_pose import MAX_TILT_RAD, PoseRamp, tilt_of
 from downbeat.control.bridge.watch import RobotWatch, sentence
 from downbeat.lcm_types import estop_t, g1_low_cmd_t, operator_command_t
@@ -30,19 +29,6 @@ AUTO_DWELL_US = 500_000
 AUTO_POSE_US = 2_000_000
 """Without a person's confirmations: time in each stage, and in the stand pose."""
 ARM_PERIOD_US = 500_000
-
-
-@dataclass(slots=True)
-class Outbox:
-    """What the core wants published on LCM, taken by the node.
-
-    Attributes:
-        operator: operator_command_t constants.
-        estops: Reasons of emergency stops.
-    """
-
-    operator: list[int] = field(default_factory=list)
-    estops: list[str] = field(default_factory=list)
 
 
 class BridgeCore:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 
@@ -34,3 +35,16 @@ NEXT = {
     Stage.TO_POSE: "hand over to control: it stands",
 }
 """What the operator's confirmation leads to."""
+
+
+@dataclass(slots=True)
+class Outbox:
+    """What the core wants published on LCM, taken by the node.
+
+    Attributes:
+        operator: operator_command_t constants.
+        estops: Reasons of emergency stops.
+    """
+
+    operator: list[int] = field(default_factory=list)
+    estops: list[str] = field(default_factory=list)
