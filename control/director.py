@@ -97,7 +97,7 @@ class Director:
         self.fallback = fallback
         learned = library[fallback].manifest.policy is not None
         self.balance = fallback if learned else ""
-        self.book = RequestBook(library.__contains__, library.names)
+        self.book = RequestBook(library.__contains__, library.names, self._safe_rate)
         stand = library["stand"].manifest
         self.prover = Prover(atlas or Atlas(), stand, proof or ProofConfig())
         self.playback: Playback | None = None
@@ -108,6 +108,16 @@ class Director:
         self._alone_since_utime = 0
         self._recovers_until_utime = 0
         self._closed_reason = ""
+
+    def _safe_rate(self, skill: str, rate: float) -> float:
+        """Return the rate nearest to the wanted one at which a skill is certified."""
+        if skill not in self.library:
+            return rate
+        manifest = self.library[skill].manifest
+        low, high = manifest.tempo_range_bpm
+        if manifest.bpm <= 0.0 or high <= 0.0:
+            return rate
+        return min(max(rate, low / manifest.bpm), high / manifest.bpm)
 
     @property
     def mode(self) -> int:

@@ -66,6 +66,7 @@ class RequestBook:
 
     is_known: Callable[[str], bool]
     skill_names: tuple[str, ...]
+    safe_rate: Callable[[str, float], float] = lambda _skill, rate: rate
     pending: list[Request] = field(default_factory=list)
     active: Request | None = None
     changes: list[StatusChange] = field(default_factory=list)
@@ -93,7 +94,7 @@ class RequestBook:
         self.say(to_request(msg, now, tick), skill_status_t.REFUSED, reason=reason)
 
     def _start(self, msg: skill_request_t, now: int, tick: int) -> None:
-        request = to_request(msg, now, tick)
+        request = self._limited(to_request(msg, now, tick))
         reason = self._refusal(msg, now)
         if reason:
             self.say(request, skill_status_t.REFUSED, reason=reason)
@@ -105,8 +106,18 @@ class RequestBook:
             self._preempt_overdue(request, now)
         self.pending.append(request)
         self.pending.sort(key=lambda r: (r.onset_utime, r.arrived_tick))
-        planned = request.onset_utime
-        self.say(request, skill_status_t.QUEUED, planned_start_utime=planned)
+        planned, note = request.onset_utime, ""
+        if request.line.rate != msg.phase_rate:
+            note = (
+                f"played at {request.line.rate:.2f} of its built tempo instead of "
+                f"{msg.phase_rate:.2f}: the nearest that it is certified for"
+            )
+        self.say(request, skill_status_t.QUEUED, planned_start_utime=planned, reason=note)
+
+    def _limited(self, request: Request) -> Request:
+        """Return the request at a tempo that its skill is certified for."""
+        rate = self.safe_rate(request.skill, request.line.rate)
+        return replace(request, line=replace(request.line, rate=rate))
 
     def _preempt_overdue(self, newer: Request, now: int) -> None:
         """A new wish for "now" replaces older wishes for now."""
@@ -164,7 +175,7 @@ class RequestBook:
         if request is None or not low <= msg.phase_rate <= high or msg.start_utime <= 0:
             return
         line = PhaseLine(msg.start_utime, msg.start_phase_s, msg.phase_rate)
-        retimed = replace(request, line=line)
+        retimed = self._limited(replace(request, line=line))
         if request is self.active:
             self.active = retimed
         else:

@@ -17,6 +17,8 @@ from downbeat.perception.beats import GRID_FORMAT, estimate_grid
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import FORMAT, Index
 from downbeat.perception.source import Recording, audio_files, load_recording
+from downbeat.perception.timeline import tempo_octave
+from downbeat.policies.manifest import load_skills
 from downbeat.tools.rundir import CACHE_DIR
 
 INDEX_NAME = "index.npz"
@@ -113,23 +115,31 @@ def assign_skills(
     skills: Sequence[str],
     seed: int,
 ) -> dict[str, Track]:
-    """Give every track the next skill of a shuffled list, one skill a track.
+    """Give every track the next skill of a shuffled list that fits its tempo, one skill a track.
 
-    Timed rules inside a track are a person's to write: they need an ear for its sections, and many
+    A skill fits when it is certified for the tempo, halved or doubled if need be. Timed
+    rules inside a track are a person's to write: they need an ear for its sections, and many
     recordings repeat passages bit for bit, which no listener can tell apart.
     """
     rng = np.random.default_rng(seed)
     order = [str(s) for s in rng.permutation(list(skills))]
-    return {
-        name: Track(
-            name,
-            order[position % len(order)],
-            grids[name],
-            title=name,
-            duration_s=recording.duration_s,
-        )
-        for position, (name, recording) in enumerate(recordings.items())
-    }
+    ranges = {name: manifest.tempo_range_bpm for name, manifest in load_skills().items()}
+    tracks, bag = {}, list(order)
+    for name, recording in recordings.items():
+        bpm = grids[name].tempo_bpm
+        fitting = [s for s in (*bag, *order) if fits_tempo(bpm, ranges.get(s, (0.0, 0.0)))]
+        skill = fitting[0] if fitting else (*bag, *order)[0]
+        if skill in bag:
+            bag.remove(skill)
+        tracks[name] = Track(name, skill, grids[name], title=name, duration_s=recording.duration_s)
+        bag = bag or list(order)
+    return tracks
+
+
+def fits_tempo(bpm: float, wanted: tuple[float, float]) -> bool:
+    """Whether a tempo, halved or doubled if need be, lies in a range; (0, 0): any does."""
+    low, high = wanted
+    return high <= 0.0 or low <= bpm * tempo_octave(bpm, wanted) <= high
 
 
 def write_track(path: Path, track: Track) -> None:

@@ -138,7 +138,12 @@ def blend_weights(blend_ticks: int, style: Style, tick: int) -> F32:
 
 
 def rate_for(manifest: SkillManifest, tempo_bpm: F64) -> F64:
-    """Return the phase rates at which a skill is in time with music; 1 without beats."""
+    """Return the phase rates at which a skill is in time with music, as far as it is certified.
+
+    1 without beats.
+    """
     if beat_s(manifest) is None:
         return np.ones_like(tempo_bpm)
-    return tempo_bpm / manifest.bpm
+    low, high = manifest.tempo_range_bpm
+    wanted = np.clip(tempo_bpm, low, high) if high > 0.0 else tempo_bpm
+    return wanted / manifest.bpm
