@@ -166,3 +166,15 @@ def test_a_snapshot_in_the_middle_of_a_proof_continues_bit_for_bit(library):
         rig.tick_number += 1
         assert np.array_equal(once.command.joint_pos_target, again.command.joint_pos_target)
         assert once.status.skill == again.status.skill
+
+
+def test_a_dance_is_played_at_the_nearest_tempo_that_it_is_certified_for(library):
+    rig = ProofRig(library, atlas_of(0.009, STEPS))
+    rig.run(3.0)
+    slow = rig.request("discostep")
+    slow.phase_rate = 0.6  # 72 BPM; certified from 95
+    rig.tick([slow])
+    rig.run(4.0)
+    assert rig.log[-1].status.skill == "discostep"
+    assert rig.log[-1].status.phase_rate == pytest.approx(95.0 / 120.0, rel=0.11)
+    assert any("certified" in reason for _, _, reason in rig.words(1))
