@@ -146,6 +146,6 @@ def _replay(outcome: Outcome, library: SkillLibrary) -> list[str]:
         inputs = input_of(record)
         again = tick_record(inputs, core.tick(inputs))
         for name in COMPARED:
-            if record[name] != again[name] and record[name] == record[name]:
+            if record.get(name) != again.get(name) and record.get(name) == record.get(name):
                 return [f"Replay differs at tick {record['tick']} in {name}."]
     return []
