@@ -294,7 +294,7 @@ class Prover:
         state.queries += 1
         chosen.query_id = state.queries
         # Announced: answered while the way through stand is open. At once: before its start.
-        hurried = last - at.now < config.patience_us
+        hurried = last - at.now <= config.patience_us + TICK_US
         chosen.deadline_utime = start if hurried else last
         count = config.hurried_rollouts if hurried else config.rollouts
         self.question = Question(chosen.query_id, chosen.deadline_utime, count, chosen)
