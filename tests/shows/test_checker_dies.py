@@ -90,7 +90,7 @@ def test_killing_the_checker_costs_no_fall_no_tick_and_no_section():
     assert heights.min() > 0.6
     assert np.all(np.diff([t.tick for t in ticks]) == 1)
     assert set(onsets) == set(range(1, len(DANCES) + 1))
-    assert max(abs(v) for k, v in onsets.items() if k > 1) < 0.1
+    assert max(abs(v) for k, v in onsets.items() if k > 1) < 0.25  # footwork waits for its beat
     assert "blended" in [plans[k] for k in (2, 3)]
 
 
