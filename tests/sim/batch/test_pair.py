@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from downbeat.control.modes import FADE_03, FADE_06
-from downbeat.sim.batch.pair import ROW, Depth, Pair
+from downbeat.sim.batch.pair import CONFIDENCE, ROW, Depth, Pair
+from downbeat.sim.batch.proof import upper_bound
 
 DEPTH = Depth()
 
@@ -84,14 +85,28 @@ def test_the_next_mode_is_tried_where_the_first_one_falls():
     assert good.exits == tuple(range(8))
 
 
-def test_footwork_with_every_beat_and_most_quarters_needs_no_second_mode():
+def test_footwork_drops_the_whole_beat_at_which_somebody_fell():
     share = np.zeros((2, 16, 1))
     share[0, 5] = 1.0
     pair, tasks = prove(share, (FADE_06, FADE_03), parts=4)
-    assert {task.mode for task in tasks} == {0}
-    share[0, 4] = 1.0  # a beat: now the second mode has to prove it
-    pair, tasks = prove(share, (FADE_06, FADE_03), parts=4)
+    assert {task.mode for task in tasks} == {0}  # three beats of four are enough
+    assert pair.findings()[0].exits == (0, 1, 2, 3, *range(8, 16))
+
+
+def test_footwork_that_can_be_left_at_few_beats_needs_the_second_mode():
+    share = np.zeros((2, 16, 1))
+    share[0, [1, 5]] = 1.0
+    _, tasks = prove(share, (FADE_06, FADE_03), parts=4)
     assert {task.mode for task in tasks} == {0, 1}
+
+
+def test_a_proof_that_cannot_be_reached_any_more_is_given_up():
+    pair, tasks = prove(np.full((1, 16, 1), 0.009), parts=4)
+    for stage, confidence in enumerate(CONFIDENCE, 1):
+        mine = pair.all_rows()[pair.all_rows()["stage"] == stage]
+        before = mine[mine["block"] < mine["block"].max()] if len(mine) else mine
+        fallen, most = int(before["fell"].sum()), DEPTH.max_blocks * DEPTH.robots
+        assert upper_bound(fallen, most, confidence) <= DEPTH.target
 
 
 def test_a_proof_that_is_reached_with_the_last_block_is_not_begun_again():
