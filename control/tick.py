@@ -23,8 +23,8 @@ from downbeat.lcm_types import (
     transition_verdict_t,
 )
 
-DAMPING_GAIN = 2.0
-"""[N m s/rad] of every joint in damping: the robot sinks slowly."""
+DAMPING_GAIN = 5.0
+"""[N m s/rad] of every joint in damping, as the bridge: the robot sinks slowest (docs/robot.md)."""
 COMMAND_VALID_US = 100_000
 """A command holds for five ticks; then the receiver goes to damping."""
 
