@@ -16,6 +16,7 @@ from typing import Any
 
 from downbeat.lcm_types.channels import CHANNELS
 from downbeat.runtime.codec import codec_for
+from downbeat.runtime.errors import DownbeatError
 from downbeat.runtime.traffic_edit import Damage, damaged, set_path
 from downbeat.runtime.traffic_plan import FOREIGN_EPOCH, Impairment, Injection, scenario_time
 
@@ -109,7 +110,10 @@ class Impairer:
         for path, value in one.set_fields.items():
             set_path(msg, path, value, f"{one.channel}: set_fields")
         msg.header.utime += round(one.clock_step_s * 1e6)
-        return codec_for(CHANNELS[one.channel].type).encode(msg)
+        try:
+            return codec_for(CHANNELS[one.channel].type).encode(msg)
+        except DownbeatError:  # cut inside a byte field: decoded short, cannot be written again
+            return payload
 
     def take(self, utime: int) -> Iterator[tuple[str, bytes]]:
         """Return what has arrived by now, in order of arrival."""

@@ -2,9 +2,10 @@
 
 The first attempt counts every slot. One that meets too many falls is given up; the next one leaves
 out the slots (of footwork: the beats) at which somebody fell and starts again from zero on fresh
-rollouts with a share of the error allowed, so that choosing does not flatter the result. A last attempt, once every pair of
-a source has been tried, is confined to the slots that all of them together have shown to be good
-(`hints`). The whole course follows from the rows, so a killed sweep goes on from them.
+rollouts with a share of the error allowed, so that choosing does not flatter the result. A last
+attempt, once every pair of a source has been tried, is confined to the slots that all of them
+together have shown to be good (`hints`). The whole course follows from the rows, so a killed sweep
+goes on from them.
 """
 
 from __future__ import annotations
