@@ -13,5 +13,6 @@ def skill_digest(manifest: SkillManifest) -> str:
     for path in (manifest.onnx_path, *(manifest.folder / name for name in manifest.extra_files)):
         digest.update(path.read_bytes())
     facts = (manifest.name, manifest.kind, manifest.bpm, manifest.duration_s, manifest.loop)
+    facts = (*facts, manifest.tempo_range_bpm)
     digest.update(repr((*facts, manifest.policy, manifest.command)).encode())
     return digest.hexdigest()

@@ -28,11 +28,12 @@ from downbeat.control.node import ControlNode
 from downbeat.control.policy import SkillLibrary
 from downbeat.control.prover import ProofConfig
 from downbeat.lcm_types import skill_request_t, skill_status_t
-from downbeat.policies.manifest import load_skills
+from downbeat.policies.manifest import SkillManifest, load_skills
 from downbeat.runtime.bus import MemqHub
 from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock
 from downbeat.sim.batch.perturb import load_profile
 from downbeat.sim.batch.proof import fixed_upper_bound
+from downbeat.sim.batch.script import rate_for
 from downbeat.sim.batch.sweep import die_with_parent
 from downbeat.sim.checker import Checker, CheckerNode
 from downbeat.sim.lockstep import Lockstep
@@ -119,7 +120,7 @@ def draw_changes(count: int, first: int = 0) -> list[Change]:
                 number,
                 source,
                 target,
-                (float(tempo[0]), float(tempo[1])),
+                (_danced(skills[source], tempo[0]), _danced(skills[target], tempo[1])),
                 float(rng.uniform(3.0, 8.0)),
                 float(rng.integers(16)),
                 bool(rng.uniform() < 0.5),
@@ -169,6 +170,13 @@ def run_change(atlas: str, change: Change, proof: ProofConfig) -> Result:
     scheduler.run_until(max(ask - ask % 20_000, begin + 20_000))
     operator.publish("OPERATOR_SKILL_REQUEST", _request(library, change, 1, wanted))
     return _watch(change, scheduler, clock, sim, operator, core, wanted)
+
+
+def _danced(skill: SkillManifest, tempo_bpm: float) -> float:
+    """Return the tempo of music that a skill is given, as the sweep draws it."""
+    if skill.bpm <= 0.0:
+        return tempo_bpm
+    return float(rate_for(skill, np.array([tempo_bpm]))[0] * skill.bpm)
 
 
 def _request(library: SkillLibrary, change: Change, which: int, utime: int) -> Any:

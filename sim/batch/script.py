@@ -137,13 +137,21 @@ def blend_weights(blend_ticks: int, style: Style, tick: int) -> F32:
     return np.array([legs, rest], np.float32)
 
 
-def rate_for(manifest: SkillManifest, tempo_bpm: F64) -> F64:
-    """Return the phase rates at which a skill is in time with music, as far as it is certified.
+MUSIC_BPM = (80.0, 160.0)
+"""Tempos of music, as the bundled profile draws them."""
 
-    1 without beats.
+
+def rate_for(manifest: SkillManifest, tempo_bpm: F64) -> F64:
+    """Return the phase rates at which a skill is in time with music, 1 without beats.
+
+    A skill that is certified for less than `MUSIC_BPM` gets its own tempos as evenly: other music
+    is given to other skills, and clipping would draw the edge too often.
     """
     if beat_s(manifest) is None:
         return np.ones_like(tempo_bpm)
     low, high = manifest.tempo_range_bpm
-    wanted = np.clip(tempo_bpm, low, high) if high > 0.0 else tempo_bpm
-    return wanted / manifest.bpm
+    if high <= 0.0:
+        return tempo_bpm / manifest.bpm
+    slowest = max(low, MUSIC_BPM[0])
+    fastest = max(slowest, min(high, MUSIC_BPM[1]))
+    return np.interp(tempo_bpm, MUSIC_BPM, (slowest, fastest)) / manifest.bpm
