@@ -19,6 +19,7 @@ from .operator_command_t import operator_command_t as operator_command_t
 from .sim_truth_t import sim_truth_t as sim_truth_t
 from .skill_request_t import skill_request_t as skill_request_t
 from .skill_status_t import skill_status_t as skill_status_t
+from .speech_intent_t import speech_intent_t as speech_intent_t
 from .speech_t import speech_t as speech_t
 from .transcript_t import transcript_t as transcript_t
 from .transition_query_t import transition_query_t as transition_query_t

@@ -1,14 +1,25 @@
-"""The conductor process: track position in, skill requests out, ahead of every known boundary."""
+"""The conductor: track position and speech in, skill requests out, ahead of every known boundary.
+
+Speech comes first (`voice_desk`); the music has the body for the rest of the time, and takes it
+back on the moment at which it comes free, in phase.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t, skill_request_t
-from downbeat.perception.timeline import PhaseFit, SkillInfo, Span, Timeline
-from downbeat.runtime.bus import Bus
+from downbeat.lcm_types import (
+    audio_class_t,
+    music_match_t,
+    skill_request_t,
+    skill_status_t,
+    speech_intent_t,
+    speech_t,
+)
+from downbeat.perception.timeline import PhaseFit, Span, Timeline
+from downbeat.perception.voice_desk import HOLD_S, VoiceDesk, VoiceSkill, request_message
 
 LOOK_AHEAD_US = 10_000_000
 """Footwork may need a whole loop to find its exit; so the next section is asked for early."""
@@ -20,6 +31,8 @@ RETIME_PHASE_S = 0.005
 RETIME_RATE = 0.002
 SILENCE_US = 3_000_000
 EXPIRES_US = 10_000_000
+HAND_BACK_US = 4_000_000
+"""The music asks so long before speech gives the body back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +47,22 @@ class Asked:
 class Conductor:
     """Pure logic: `update` returns the messages to send."""
 
-    def __init__(self, timeline: Timeline, skills: Mapping[str, SkillInfo]) -> None:
+    def __init__(
+        self,
+        timeline: Timeline,
+        skills: Mapping[str, VoiceSkill],
+        allowed: Container[str] | None = None,
+        hold_s: float = HOLD_S,
+    ) -> None:
+        """Begin without any music.
+
+        Args:
+            timeline: What the tracks ask for.
+            skills: By name.
+            allowed: Skills that speech may ask for; None: all.
+            hold_s: How long a spoken command without a duration lasts [s].
+        """
+        self.voice = VoiceDesk(skills, self._new_id, allowed, hold_s)
         self._timeline = timeline
         self._skills = skills
         self._next_id = 1
@@ -63,14 +91,52 @@ class Conductor:
         if label != audio_class_t.SKIP:
             self._sounding_utime = utime
 
+    def listen(self, msg: speech_intent_t, now: int) -> list[skill_request_t]:
+        """Take a SPEECH_INTENT."""
+        playing = "" if self._current is None else self._current.span.skill
+        asked = self.voice.hear(msg, now, lambda skill, at: self._line(skill, at), playing)
+        return self._voiced(asked, now)
+
+    def speak(self, msg: speech_t, now: int) -> list[skill_request_t]:
+        """Take a SPEECH of the robot's own."""
+        return self._voiced(self.voice.speak(msg, now), now)
+
+    def follow(self, msg: skill_status_t, now: int) -> list[skill_request_t]:
+        """Take a SKILL_STATUS."""
+        if msg.source != skill_request_t.SOURCE_SPEECH:
+            return []
+        return self._voiced(self.voice.follow(msg, now), now)
+
+    def _voiced(self, asked: list[skill_request_t], now: int) -> list[skill_request_t]:
+        """What speech starts takes the place of what the music had planned."""
+        out: list[skill_request_t] = []
+        if any(msg.operation == skill_request_t.START for msg in asked):
+            self._drop_ahead(out, now, "somebody speaks")
+            self._current = None
+            self._is_standing = False
+        return out + asked
+
+    def _line(self, skill: str, utime: int) -> PhaseFit:
+        """Return a skill's phase line in step with the music, from its start without any."""
+        place = self._where(utime)
+        if place is None:
+            return PhaseFit(utime, 0.0, 1.0)
+        return self._timeline.phase(
+            Span(place[0], skill, utime, place[1]), self._skills[skill], utime
+        )
+
     # ------------------------------------------------------------------ decisions
 
     def update(self, now: int, finished: bool = False) -> list[skill_request_t]:
         """Return the requests to publish at `now` [us]."""
-        out: list[skill_request_t] = []
+        out = self.voice.update(now)
+        free = self.voice.free_utime(now)
         silent = now - self._sounding_utime > SILENCE_US
         if finished or (silent and self._sounding_utime > 0):
-            self._end(out, now)
+            self._end(out, now, is_ours=free == now)
+            return out
+        if self.voice.is_held or free is None or free > now:
+            self._wait(out, now, free)
             return out
         place = self._where(now)
         self._promote(now)
@@ -83,6 +149,42 @@ class Conductor:
         self._retime(out, now)
         return out
 
+    def _wait(self, out: list[skill_request_t], now: int, free: int | None) -> None:
+        """Speech has the body: stay in phase, and ask for it back on the moment it comes free."""
+        self._in_step(out, now)
+        place = None if free is None or self.voice.is_held else self._where(now)
+        if place is None or free is None:
+            self._drop_ahead(out, now, "speech has the robot")
+            return
+        if free - now > HAND_BACK_US:
+            return
+        here, following = self._timeline.spans(*place, free)
+        if following is not None and following.start_utime - free < MIN_SPAN_US:
+            here = following
+        at = max(free, here.start_utime)
+        if self._ahead is not None:
+            same = here.is_same(self._ahead.span)
+            if same and abs(max(self._ahead.line.utime, now) - at) < MOVED_US:
+                return
+            self._drop_ahead(out, now, "the body comes free at another time")
+        line = self._timeline.phase(here, self._skills[here.skill], at)
+        self._ahead = self._start(out, here, line, now, f"back to {here.track}")
+
+    def _in_step(self, out: list[skill_request_t], now: int) -> None:
+        """Keep the dance that speech asked for in phase with the music."""
+        claim, place = self.voice.claim, self._where(now)
+        if claim is None or place is None or not claim.onset_utime:
+            return
+        if now - self._retimed_utime < RETIME_PERIOD_US or self._skills[claim.skill].bpm <= 0.0:
+            return
+        self._retimed_utime = now
+        claim.line = line = self._line(claim.skill, now)
+        msg = self._message(now, skill_request_t.RETIME, claim.skill, "phase of the music")
+        msg.source = skill_request_t.SOURCE_SPEECH
+        msg.target_request_id = claim.request_id
+        msg.start_utime, msg.start_phase_s, msg.phase_rate = line.utime, line.phase_s, line.rate
+        out.append(msg)
+
     def _where(self, now: int) -> tuple[str, int] | None:
         """Return (track, zero) believed in: what the set list says, else the lock."""
         scheduled = self._timeline.scheduled(now)
@@ -92,7 +194,7 @@ class Conductor:
 
     def _promote(self, now: int) -> None:
         """What was asked ahead is current once its time has come."""
-        if self._ahead is not None and now >= self._ahead.span.start_utime:
+        if self._ahead is not None and now >= self._ahead.line.utime:
             self._current, self._ahead = self._ahead, None
             self._is_standing = False
 
@@ -157,9 +259,11 @@ class Conductor:
         msg.start_utime, msg.start_phase_s, msg.phase_rate = fit.utime, fit.phase_s, fit.rate
         out.append(msg)
 
-    def _end(self, out: list[skill_request_t], now: int) -> None:
+    def _end(self, out: list[skill_request_t], now: int, is_ours: bool = True) -> None:
         self._drop_ahead(out, now, "the music ended")
-        if self._is_standing:
+        if self._is_standing or not is_ours or self.voice.is_held:
+            self._current = None if not is_ours else self._current
+            self._place = None if not is_ours else self._place
             return
         msg = self._message(now, skill_request_t.START, "stand", "the music ended")
         msg.start_utime = now
@@ -190,50 +294,8 @@ class Conductor:
         return Asked(msg.request_id, span, line)
 
     def _message(self, now: int, operation: int, skill: str, why: str) -> Any:
-        msg: Any = skill_request_t()
-        msg.header.utime = now
-        msg.request_id = self._next_id
-        msg.operation = operation
-        msg.skill = skill
-        msg.source = skill_request_t.SOURCE_MUSIC
-        msg.phase_rate = 1.0
-        msg.cause = why
+        return request_message(now, self._new_id(), operation, skill, why)
+
+    def _new_id(self) -> int:
         self._next_id += 1
-        return msg
-
-
-class ConductorNode:
-    """Node "conductor", 20 Hz."""
-
-    name = "conductor"
-    period_us = 50_000
-
-    def __init__(self, bus: Bus, conductor: Conductor, known_tracks: frozenset[str]) -> None:
-        """Wire the process.
-
-        Args:
-            bus: Endpoint of the process "conductor".
-            conductor: The logic.
-            known_tracks: Tracks that have rules; a lock on any other is ignored.
-        """
-        self._bus = bus
-        self._conductor = conductor
-        self._known = known_tracks
-        self._finished = False
-        bus.subscribe("MUSIC_MATCH", "AUDIO_CLASS", "AUDIO_SOURCE")
-
-    def step(self, utime: int) -> None:
-        """Decide at `utime` [us]."""
-        self._bus.pump()
-        for received in self._bus.take("AUDIO_SOURCE"):
-            self._finished = received.msg.state != audio_source_t.STARTED
-        for received in self._bus.take("AUDIO_CLASS"):
-            self._conductor.sound(received.msg.label, received.msg.header.utime)
-        for received in self._bus.take("MUSIC_MATCH"):
-            if received.msg.lock != music_match_t.LOCKED or received.msg.track in self._known:
-                self._conductor.hear(received.msg)
-        for request in self._conductor.update(utime, self._finished):
-            self._bus.publish("SKILL_REQUEST", request)
-
-    def close(self) -> None:
-        """Nothing to release."""
+        return self._next_id - 1

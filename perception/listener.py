@@ -11,6 +11,7 @@ import numpy as np
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t
 from downbeat.perception.features import F32
 from downbeat.perception.matcher import MusicMatcher
+from downbeat.perception.sound_share import SoundShare
 from downbeat.perception.source import FileSource, Ring
 from downbeat.perception.tracker import Lock, Tracker, TrackState
 from downbeat.runtime.bus import Bus
@@ -64,6 +65,7 @@ class ListenerNode:
         matcher: MusicMatcher,
         next_boundary_s: Callable[[str, float], float | None] | None = None,
         router: Router | None = None,
+        shares: bool = False,
     ) -> None:
         """Wire the process.
 
@@ -73,6 +75,7 @@ class ListenerNode:
             matcher: Loaded and ready.
             next_boundary_s: (track, position) -> track time of the next section change, or None.
             router: Music, speech or nothing; omitted: by energy.
+            shares: Publish the sound as AUDIO_CHUNK, for the speech process.
         """
         self._bus = bus
         self._source = source
@@ -83,6 +86,7 @@ class ListenerNode:
         self._next_hop_utime = source.first_sample_utime + HOP_US
         self._announced = False
         self._finished = False
+        self._share = SoundShare(bus, source) if shares else None
 
     def step(self, utime: int) -> None:
         """Read what has sounded, and analyse when a hop is due."""
@@ -92,7 +96,10 @@ class ListenerNode:
         if not self._announced:
             self._publish_source(audio_source_t.STARTED, utime)
             self._announced = True
-        self._ring.append(self._source.read(utime))
+        heard = self._source.read(utime)
+        self._ring.append(heard)
+        if self._share is not None:
+            self._share.send(heard, utime, self._source.is_finished)
         if utime >= self._next_hop_utime:
             while self._next_hop_utime <= utime:
                 self._next_hop_utime += HOP_US

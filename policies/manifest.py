@@ -41,6 +41,7 @@ BUNDLED_SKILLS = Path(__file__).resolve().parent
 
 _OPTIONAL = {
     "phrases",
+    "descriptions",
     "entry_phases_s",
     "exit_phases_s",
     "command",
@@ -101,7 +102,14 @@ def _from_table(table: Mapping[str, Any], path: Path) -> SkillManifest:
         values[key] = number(values[key], f"{path}:{key}")
     for key in ("rate_hz", "ticks", "beats"):
         values[key] = integer(values[key], f"{path}:{key}")
-    for key in ("observation_names", "phrases", "extra_files", "extra_sha256", "inferred"):
+    for key in (
+        "observation_names",
+        "phrases",
+        "descriptions",
+        "extra_files",
+        "extra_sha256",
+        "inferred",
+    ):
         values[key] = texts(values.get(key, []), f"{path}:{key}")
     for key in ("name", "title", "file", "sha256", "licence", "kind", "source"):
         if not isinstance(values.setdefault(key, ""), str):

@@ -125,6 +125,7 @@ class SkillManifest:
         tempo_range_bpm: Tempos danced by advancing the phase; (0, 0) for gestures.
         observation_names: Terms of `obs`, in order.
         phrases: What a person may say to ask for it.
+        descriptions: What it looks like; requests are matched with it by meaning, too.
         entry_phases_s: Phases [s] at which it may be entered; None: any.
         exit_phases_s: Phases [s] at which it may be left; None: any.
         command: Limits of the command input; None without one.
@@ -155,6 +156,7 @@ class SkillManifest:
     observation_names: tuple[str, ...]
     folder: Path
     phrases: tuple[str, ...] = ()
+    descriptions: tuple[str, ...] = ()
     entry_phases_s: tuple[float, ...] | None = None
     exit_phases_s: tuple[float, ...] | None = None
     command: CommandLimits | None = None

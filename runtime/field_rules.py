@@ -94,6 +94,11 @@ RANGES: Mapping[str, tuple[float | None, float | None]] = {
     "skill_request_t.request_id": (1, None),
     "skill_request_t.duration_s": (0.0, 1e9),
     "skill_request_t.velocity": (-10.0, 10.0),
+    "speech_intent_t.distance_m": (0.0, 1e3),
+    "speech_intent_t.duration_s": (0.0, 1e9),
+    "speech_intent_t.repeat": (0, 1_000),
+    "speech_intent_t.score": (0.0, 1.0),
+    "speech_intent_t.utterance_id": (1, None),
     "speech_t.duration_s": (0.0, 1e9),
     "transcript_t.confidence": (0.0, 1.0),
     "transition_query_t.blend_s": (0.0, 1e3),
@@ -177,6 +182,10 @@ ENUMERATIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
             "PREEMPTED",
             "ABORTED",
         ),
+    ),
+    "speech_intent_t.kind": (
+        "speech_intent_t",
+        ("STOP", "SKILL", "AGAIN", "TEMPO", "RESUME", "CHAT"),
     ),
     "speech_t.state": ("speech_t", ("REQUESTED", "STARTED", "FINISHED", "FAILED")),
     "transition_verdict_t.verdict": (

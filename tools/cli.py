@@ -36,6 +36,7 @@ Command = (
     | Annotated[processes.Sim, sub("sim")]
     | Annotated[processes.Listen, sub("listen")]
     | Annotated[processes.Conduct, sub("conduct")]
+    | Annotated[processes.Speak, sub("speech")]
     | Annotated[processes.Check, sub("check")]
     | Annotated[processes.Control, sub("control")]
     | Annotated[processes.Record, sub("record")]

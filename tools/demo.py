@@ -26,6 +26,8 @@ ORDER = ("neon_parade", "salsa_del_puerto", "midnight_bones", "tide_runner")
 
 def run_demo(args: Demo) -> int:
     """Build the show, play it, report; 0 if the robot stayed up and followed every section."""
+    if args.scene == "onstage":
+        return run_onstage(args)
     tracks = load_tracks(BUNDLED_TRACKS, load_skills())
     longest = min(track.duration_s for track in tracks.values())
     if not 10.0 <= args.section_seconds <= longest - 5.0:
@@ -48,6 +50,27 @@ def run_demo(args: Demo) -> int:
     if args.json:
         print(json.dumps(metrics))
     return 0 if metrics["good"] else 1
+
+
+def run_onstage(args: Demo) -> int:
+    """Play the stage scene; 0 if every line did what it was to do."""
+    from downbeat.tools.onstage import build_scene, print_scene, speech_toml
+
+    tracks = load_tracks(BUNDLED_TRACKS, load_skills())
+    run_dir = new_run_dir(args.runs)
+    library = bundled_library(tracks, run_dir / "catalog")
+    scene = build_scene(library.recordings)
+    scene.truth["seed"] = args.seed
+    show = write_show(run_dir, scene, library, args.seed, speech=speech_toml(run_dir))
+    play(show, run_dir, scene, not args.lockstep, args.url)
+    metrics = finish_run(run_dir, video=args.video, quiet=args.json)
+    speech = metrics["speech"]
+    good = metrics["falls"] == 0 and all(row["good"] for row in speech["utterances"])
+    if args.json:
+        print(json.dumps(metrics))
+    else:
+        print_scene(metrics)
+    return 0 if good and speech["resumed"] >= len(speech["utterances"]) else 1
 
 
 def bundled_library(tracks: Mapping[str, Track], out: Path) -> Library:

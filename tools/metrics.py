@@ -21,6 +21,7 @@ from downbeat.tools.errors import ToolError
 from downbeat.tools.metrics_beats import BeatReport, SkillTables, beat_report
 from downbeat.tools.metrics_checks import checks_report
 from downbeat.tools.metrics_sections import SectionResult, evaluate_sections, fallen_spans
+from downbeat.tools.metrics_speech import speech_report
 from downbeat.tools.runlog import LOG_NAME, RunLog, read_run
 from downbeat.tools.truth import TRUTH_NAME, Truth, read_truth
 
@@ -90,6 +91,7 @@ def metrics_of(
         "physical_lag_ms": _rounded(beats.physical_lag_ms, 1),
         "transitions": _transitions(log),
         "checks": checks_report(log),
+        "speech": speech_report(log, truth.raw, zero_utime),
         "control": _control(log),
         "bus": {
             "lost": int(log.control.states_lost[-1]),

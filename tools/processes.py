@@ -26,6 +26,7 @@ from downbeat.tools.show import (
     make_core,
     make_listener,
     make_sim,
+    make_speech,
 )
 
 MUSIC_DELAY_US = 1_000_000
@@ -84,6 +85,7 @@ def run_process(name: str, args: ProcessArgs) -> int:
         "control": _control,
         "listener": _listener,
         "conductor": _conductor,
+        "speech": _speech,
     }
     return starters[name](show, bus, clock)
 
@@ -121,6 +123,14 @@ def _listener(show: Show, bus: Bus, clock: WallClock) -> int:
 
 def _conductor(show: Show, bus: Bus, clock: WallClock) -> int:
     run_node(make_conductor(show, bus), clock, bus)
+    return 0
+
+
+def _speech(show: Show, bus: Bus, clock: WallClock) -> int:
+    node = make_speech(show, bus, clock.utime(), is_simulated_time=False)
+    if node is None:
+        raise ToolError(f"{show.folder / SHOW_NAME} has no speech; name a speech.toml (speech).")
+    run_node(node, clock, bus)
     return 0
 
 

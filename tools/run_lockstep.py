@@ -19,6 +19,7 @@ from downbeat.tools.show import (
     make_core,
     make_listener,
     make_sim,
+    make_speech,
 )
 
 LEAD_US = 3_000_000
@@ -58,7 +59,9 @@ def run_lockstep(
         make_control(show, hub.endpoint("control", clock), journal.record, core=core),
     )
     checker = make_checker(show, hub.endpoint("checker", clock), is_simulated_time=True)
-    scheduler = Lockstep(clock, nodes if checker is None else (*nodes, checker))
+    speech = make_speech(show, hub.endpoint("speech", clock), first_sample_utime, True)
+    more = tuple(node for node in (speech, checker) if node is not None)
+    scheduler = Lockstep(clock, (*nodes, *more))
     total_us = LEAD_US + round(duration_s * 1e6) + TAIL_US
 
     def progress(utime: int) -> bool:

@@ -33,6 +33,7 @@ TABLE = (
     ("listener", "listen", CrashPolicy.STOP_ALL),
     ("conductor", "conduct", CrashPolicy.RESTART),
     ("checker", "check", CrashPolicy.RESTART),
+    ("speech", "speech", CrashPolicy.RESTART),
 )
 READY_TIMEOUT_S = 60.0
 STANDING_S = 1.0
@@ -108,7 +109,13 @@ class Watcher:
 def needed_by(show: Show) -> frozenset[str]:
     """Return the processes that must be up before the music starts."""
     names = {"sim", "control", "listener", "conductor"}
-    return frozenset(names | ({"checker"} if has_checker(show) else set()))
+    return frozenset(names | set(extra_processes(show)))
+
+
+def extra_processes(show: Show) -> tuple[str, ...]:
+    """Return the processes that not every show has, and this one does."""
+    speech = ("speech",) if show.config.speech else ()
+    return (*speech, "checker") if has_checker(show) else speech
 
 
 def run_realtime(show: Show, run_dir: Path, duration_s: float, url: str) -> None:
@@ -130,7 +137,7 @@ def run_realtime(show: Show, run_dir: Path, duration_s: float, url: str) -> None
             log_path=logs / f"{name}.log",
         )
         for name, command, policy in TABLE
-        if name != "checker" or has_checker(show)
+        if name not in ("checker", "speech") or name in extra_processes(show)
     ]
     supervisor = Supervisor(specs)
     console = Console(stderr=True)

@@ -47,6 +47,7 @@ class ShowConfig:
         atlas: Folder of proven changes; empty: the bundled one.
         transitions: "proven"; "rules" (without an atlas), "via_stand" or "hard" to compare with.
         checker: Whether a checker process simulates plans before they are made.
+        speech: The speech process's speech.toml; empty: nobody listens to words.
     """
 
     audio: str
@@ -65,6 +66,7 @@ class ShowConfig:
     atlas: str = ""
     transitions: str = "proven"
     checker: bool = True
+    speech: str = ""
 
     def to_toml(self) -> str:
         """Return the show as TOML."""
@@ -149,20 +151,60 @@ def make_listener(show: Show, bus: Bus, first_sample_utime: int) -> Any:
         recording = load_recording(show.path(show.config.audio))
         source = FileSource(recording, first_sample_utime)
     matcher = AlignmentMatcher.load(show.path(show.config.index))
-    return ListenerNode(bus, source, matcher, next_boundary_s)
+    return ListenerNode(bus, source, matcher, next_boundary_s, shares=bool(show.config.speech))
 
 
 def make_conductor(show: Show, bus: Bus) -> Any:
     """Build the conductor process."""
-    from downbeat.perception.conductor import Conductor, ConductorNode
+    from downbeat.perception.conductor import Conductor
+    from downbeat.perception.conductor_node import ConductorNode
     from downbeat.perception.timeline import Timeline
+    from downbeat.perception.voice_desk import HOLD_S
 
     tracks = show_tracks(show)
     set_list = (
         load_setlist(show.path(show.config.set_list), tracks) if show.config.set_list else None
     )
-    conductor = Conductor(Timeline(tracks, set_list), show_skills(show))
+    speech = show_speech(show)
+    allowed = frozenset(speech.skills) if speech is not None and speech.skills else None
+    hold_s = HOLD_S if speech is None else speech.hold_s
+    conductor = Conductor(Timeline(tracks, set_list), show_skills(show), allowed, hold_s)
     return ConductorNode(bus, conductor, frozenset(tracks))
+
+
+def show_speech(show: Show) -> Any:
+    """Return the show's SpeechConfig, None if nobody listens to words.
+
+    Raises:
+        DownbeatError: speech.toml is missing, or something in it is wrong (file:key).
+    """
+    if not show.config.speech:
+        return None
+    from downbeat.perception.speech_config import SpeechConfig
+
+    config = load_config(show.path(show.config.speech), SpeechConfig)
+    config.check(show_skills(show))
+    return config
+
+
+def make_speech(show: Show, bus: Bus, first_utime: int, is_simulated_time: bool) -> Any:
+    """Build the speech process; None if the show has none.
+
+    Args:
+        show: The show.
+        bus: Endpoint of the process.
+        first_utime: Time of the first sample of spoken.wav [us].
+        is_simulated_time: Work at once instead of in a thread.
+    """
+    from downbeat.tools.speech_parts import build_speech
+
+    config = show_speech(show)
+    if config is None:
+        return None
+    titles = {name: track.title for name, track in show_tracks(show).items()}
+    return build_speech(
+        config, show_skills(show), bus, show.folder, first_utime, is_simulated_time, titles
+    )
 
 
 def make_core(show: Show) -> ControlCore:

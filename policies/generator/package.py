@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from downbeat.policies.generator.descriptions import DESCRIPTIONS
 from downbeat.policies.generator.export import CommandGrid, Tables, write_onnx
 from downbeat.policies.generator.model import TICK_S
 from downbeat.policies.manifest import (
@@ -67,6 +68,7 @@ def write_skill(
         "tempo_range_bpm": list(label.tempo_range_bpm),
         "observation_names": list(OBSERVATION_NAMES),
         "phrases": list(label.phrases),
+        "descriptions": list(DESCRIPTIONS.get(label.name, ())),
     }
     if label.kind != "planted":
         table |= {"entry_phases_s": [0.0], "exit_phases_s": [0.0]}

@@ -9,7 +9,8 @@ from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import Rule, Track
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t, skill_request_t
-from downbeat.perception.conductor import RETIME_PERIOD_US, Conductor, ConductorNode
+from downbeat.perception.conductor import RETIME_PERIOD_US, Conductor
+from downbeat.perception.conductor_node import ConductorNode
 from downbeat.perception.timeline import Span, Timeline
 from downbeat.runtime.clock import SimClock
 from downbeat.runtime.memq import MemqHub

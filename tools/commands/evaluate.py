@@ -81,12 +81,33 @@ class Beat:
 
 
 @dataclass(frozen=True)
+class Speech:
+    """Ground written utterances: which skill, stop or answer each of them asks for."""
+
+    utterances: Path = Path("tests/perception/utterances.tsv")
+    """Tab-separated set: half, kind, expected, text."""
+    half: Literal["tune", "test", "all"] = "test"
+    """Thresholds were found on `tune`; `test` was written by someone else and never tuned on."""
+    letters_only: bool = False
+    """Without the sentence model."""
+    json: bool = False
+    """Print the score as one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Run it; 0 if commands, false triggers and negations reach their targets."""
+        from downbeat.tools.eval_speech import eval_speech
+
+        return eval_speech(self.utterances, self.half, self.letters_only, self.json)
+
+
+@dataclass(frozen=True)
 class Eval:
-    """Evaluate: `mashup` (M20, M30 of the paper), `beat` (phase against the music)."""
+    """Evaluate: `mashup` (M20, M30 of the paper), `beat` (phase against the music), `speech`."""
 
     what: (
         Annotated[Mashup, tyro.conf.subcommand("mashup")]
         | Annotated[Beat, tyro.conf.subcommand("beat")]
+        | Annotated[Speech, tyro.conf.subcommand("speech")]
     )
 
     def run(self) -> int:

@@ -55,6 +55,17 @@ class Conduct(ProcessArgs):
 
 
 @dataclass(frozen=True)
+class Speak(ProcessArgs):
+    """Run speech: sound in, TRANSCRIPT, SPEECH_INTENT and SPEECH out."""
+
+    def run(self) -> int:
+        """Run until told to stop."""
+        from downbeat.tools.processes import run_process
+
+        return run_process("speech", self)
+
+
+@dataclass(frozen=True)
 class Control(ProcessArgs):
     """Run control: state and requests in, G1_LOW_CMD at 50 Hz out."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -12,6 +13,9 @@ import tyro
 class Demo:
     """Play the bundled mashup: heard, recognised, danced; ends with the result table."""
 
+    scene: Literal["mashup", "onstage"] = "mashup"
+    """mashup: four tracks cut together; onstage: somebody speaks over the music, and is obeyed and
+    answered."""
     lockstep: bool = False
     """One process over memq on simulated time: faster than real time and deterministic."""
     announced: bool = False

@@ -1,0 +1,276 @@
+"""From a transcript to what is wanted: a skill, a stop, an answer, or nothing.
+
+Stop words and the form of the sentence come first (`grounding_rules`), numbers next
+(`grounding_numbers`); only requests are matched with the skills, by meaning where a sentence model
+is there, and by their letters always. What people talk about otherwise (`grounding_talk`) competes
+with the skills, because no single threshold tells a paraphrase from small talk.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+from downbeat.perception.features import F32
+from downbeat.perception.grounding_misheard import Misheard
+from downbeat.perception.grounding_numbers import Parameters, parameters
+from downbeat.perception.grounding_rules import Clause, Form, clauses, plain
+from downbeat.perception.grounding_talk import TALK
+from downbeat.policies.manifest_types import SkillManifest
+
+
+class IntentKind(Enum):
+    """What an utterance wants."""
+
+    NONE = "none"
+    """Nothing was said."""
+    STOP = "stop"
+    """Stand, at once."""
+    SKILL = "skill"
+    AGAIN = "again"
+    """What was done before, once more."""
+    TEMPO = "tempo"
+    """The same, faster or slower."""
+    RESUME = "resume"
+    """Dance to the music again, after a stop."""
+    CHAT = "chat"
+    """No command: answer it."""
+
+
+@dataclass(frozen=True)
+class Intent:
+    """What an utterance wants.
+
+    Attributes:
+        kind: What to do.
+        skill: Of SKILL: its name; of a forbidding STOP: what is forbidden; else empty.
+        score: Closeness to that skill, 0 to 1.
+        margin: Distance to the second skill or to small talk, whichever is closer.
+        parameters: Numbers in the request.
+        negated: Something was forbidden.
+    """
+
+    kind: IntentKind
+    skill: str = ""
+    score: float = 0.0
+    margin: float = 0.0
+    parameters: Parameters = field(default_factory=Parameters)
+    negated: bool = False
+
+
+class Embedder(Protocol):
+    """A sentence model."""
+
+    def embed(self, texts: Sequence[str]) -> F32:
+        """Return (n, d) unit vectors."""
+        ...
+
+    def knows(self, word: str) -> bool:
+        """Return whether a word, in small letters, has a meaning of its own."""
+        ...
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """When a request is near enough to a skill. Found on the tuning half of the evaluation set.
+
+    Attributes:
+        request: Least score of something asked for in so many words.
+        bare: Of a clause that only may be a command.
+        margin: Least distance to the second skill.
+        talk: Least distance to small talk; negative: small talk may be so much closer.
+        letters: Least likeness of letters where meaning does not help.
+    """
+
+    request: float = 0.40
+    bare: float = 0.65
+    margin: float = 0.003
+    talk: float = 0.0
+    letters: float = 0.82
+
+
+NOT_BY_VOICE = frozenset({"talk"})
+"""Gestures of the robot's own speech: an answer brings them."""
+STAND = "stand"
+LETTERS_WEIGHT, LETTERS_FROM = 0.4, 0.7
+"""Letters add to meaning what they are more alike than this: a misheard name has no meaning."""
+LEFT_OVER = 0.12
+"""Each word that is no part of the phrase makes it so much less alike."""
+_MOVES = re.compile(
+    r"\b(?:danc\w*|mov(?:e|ing)|go|run|walk\w*|turn|anything|do (?:that|it|this)|come)\b|^$"
+)
+_FILLER = re.compile(
+    r"\b(?:please|the|a|an|your|some|us|me|show|do|perform|give|dance|for|let's|to|of|can|you|best"
+    r"|now|moves?|move|like|start|doing|dancing|again)\b"
+)
+_RESUME = re.compile(
+    r"^(?:please )?(?:dance|start dancing|you (?:may|can) dance|dance again|keep dancing|resume"
+    r"|continue|carry on|go on|dance to the music|continue (?:dancing|the dance|the show)"
+    r"|go on dancing|resume (?:dancing|the dance|the show)|back to the music)"
+    r"(?: again| now| please)*$"
+)
+_BEFORE = re.compile(r"\b(?:it|that|this|thing|same|one|just|go|from|start|beginning|whole)\b")
+_WORD = re.compile(r"[\w']+")
+
+
+class Grounder:
+    """Knows the skills that speech may ask for."""
+
+    def __init__(
+        self,
+        skills: Mapping[str, SkillManifest],
+        model: Embedder | None,
+        thresholds: Thresholds | None = None,
+    ) -> None:
+        """Embed what the skills are called and look like; 0.5 s.
+
+        Args:
+            skills: By name; `NOT_BY_VOICE` are left out.
+            model: None: letters only, which understands the phrases themselves and little more.
+            thresholds: None: those found on the tuning half.
+        """
+        self._limits = thresholds or Thresholds()
+        self._model = model
+        texts: list[tuple[str, str]] = []
+        self._phrases: list[tuple[str, str]] = []
+        self._exact: dict[str, str] = {}
+        for name, skill in sorted(skills.items()):
+            if name in NOT_BY_VOICE:
+                continue
+            said = [name.replace("_", " "), skill.title, *skill.phrases]
+            self._exact |= {plain(text): name for text in said}
+            self._phrases += [(_letters(text), name) for text in said]
+            texts += [(text, name) for text in dict.fromkeys([*said, *skill.descriptions])]
+        self._phrases = [pair for pair in dict.fromkeys(self._phrases) if pair[0]]
+        self._names = [name for _, name in texts]
+        knows = (lambda _: False) if model is None else model.knows
+        self._misheard = Misheard((text for text, _ in self._phrases), knows)
+        if model is not None:
+            self._vectors = model.embed([text for text, _ in texts])
+            self._talk = model.embed(TALK)
+
+    def ground(self, text: str) -> Intent:
+        """Return what is wanted. A stop anywhere in the utterance wins over everything."""
+        found = clauses(text)
+        if not found:
+            return Intent(IntentKind.NONE)
+        if any(clause.form is Form.STOP for clause in found):
+            return Intent(IntentKind.STOP, score=1.0, margin=1.0)
+        if _RESUME.match(_spoken(text)):
+            return Intent(IntentKind.RESUME, score=1.0, margin=1.0)
+        named = self._exact.get(" ".join(_WORD.findall(plain(text))))
+        if named is not None and named != STAND:
+            return Intent(IntentKind.SKILL, named, 1.0, 1.0)
+        forbidden: Intent | None = None
+        for clause in found:
+            if clause.form is Form.NEGATED:
+                forbidden = forbidden or self._forbidden(clause)
+        best = Intent(IntentKind.CHAT)
+        numbers, _ = parameters(_spoken(text))
+        for clause in found:
+            if clause.form not in (Form.REQUEST, Form.BARE):
+                continue
+            intent = self._wanted(clause, numbers)
+            if intent.kind is not IntentKind.CHAT and intent.score > best.score:
+                best = intent
+        if forbidden and best.skill == forbidden.skill:
+            best = Intent(IntentKind.CHAT)
+        if forbidden and best.kind is IntentKind.CHAT:
+            return forbidden
+        return best
+
+    def _forbidden(self, clause: Clause) -> Intent | None:
+        """Read "don't dance" as a stop: of everything, or of the skill that it names."""
+        skill, score, _, talk = self._closest(clause.text)
+        if talk >= 0.0 and score >= self._limits.request:
+            return Intent(IntentKind.STOP, skill, score, negated=True)
+        if _MOVES.search(clause.text):
+            return Intent(IntentKind.STOP, negated=True, score=1.0)
+        return None
+
+    def _wanted(self, clause: Clause, whole: Parameters) -> Intent:
+        numbers, rest = parameters(clause.text)
+        chat = Intent(IntentKind.CHAT)
+        if not _content(rest) and (numbers.again or numbers.repeat):
+            return Intent(IntentKind.AGAIN, score=1.0, margin=1.0, parameters=whole)
+        if numbers.tempo and len(_letters(rest).split()) <= 1:
+            return Intent(IntentKind.TEMPO, score=1.0, margin=1.0, parameters=whole)
+        skill, score, margin, talk = self._closest(rest or clause.text)
+        limits = self._limits
+        least = limits.request if clause.form is Form.REQUEST else limits.bare
+        if not skill or score < least or margin < limits.margin or talk < limits.talk:
+            return chat
+        kind = IntentKind.SKILL
+        if skill == STAND:
+            kind = IntentKind.STOP
+        return Intent(kind, skill, min(score, 1.0), min(margin, talk, 1.0), whole)
+
+    def _closest(self, text: str) -> tuple[str, float, float, float]:
+        """Return the closest skill, its score, the distance to the second and to small talk."""
+        if self._model is not None:
+            text = self._misheard.mend(text)
+        by_skill: dict[str, float] = {}
+        bonus: dict[str, float] = {}
+        talk = -1.0
+        if self._model is not None:
+            vector = self._model.embed([text])[0]
+            for name, score in zip(self._names, self._vectors @ vector, strict=True):
+                by_skill[name] = max(by_skill.get(name, -1.0), float(score))
+            talk = float((self._talk @ vector).max())
+        letters = _letters(text)
+        for phrase, name in self._phrases:
+            likeness = _likeness(phrase, letters)
+            bonus[name] = max(bonus.get(name, 0.0), LETTERS_WEIGHT * (likeness - LETTERS_FROM))
+            if self._model is None and likeness >= self._limits.letters:
+                by_skill[name] = max(by_skill.get(name, -1.0), likeness)
+        for name, more in bonus.items():
+            if self._model is not None:
+                by_skill[name] += more
+        if (named := self._exact.get(text)) is not None:
+            by_skill[named] = 1.0
+        if not by_skill:
+            return "", 0.0, 0.0, 0.0
+        ranked = sorted(by_skill.items(), key=lambda item: -item[1])
+        (skill, score), second = ranked[0], ranked[1][1] if len(ranked) > 1 else 0.0
+        return skill, score, score - second, score - talk
+
+
+def _spoken(text: str) -> str:
+    """Return the words of a text for counting: points inside numbers stay."""
+    return " ".join(re.sub(r"[^\w'. -]|\.(?!\d)", " ", plain(text)).split())
+
+
+def _letters(text: str) -> str:
+    """Return the words that carry something, in small letters."""
+    bare = _FILLER.sub(" ", plain(text))
+    return " ".join(_WORD.findall(bare))
+
+
+def _content(text: str) -> str:
+    """Return what is left to be done once "it" and the like are taken for what was done before."""
+    return _BEFORE.sub(" ", _letters(text)).strip()
+
+
+def _likeness(phrase: str, text: str) -> float:
+    """Return how like a phrase the best piece of a text is, 0 to 1: mishearings are near misses.
+
+    Spaces do not count ("thrill er"), and what is left over makes it less alike.
+    """
+    words, wanted = text.split(), phrase.replace(" ", "")
+    if not words:
+        return 0.0
+    if phrase == text:
+        return 0.97
+    best = 0.0
+    count = len(phrase.split())
+    for size in range(max(1, count - 1), count + 3):
+        for start in range(len(words) - size + 1):
+            piece = "".join(words[start : start + size])
+            ratio = difflib.SequenceMatcher(None, wanted, piece, autojunk=False).ratio()
+            left = 1.0 - LEFT_OVER * (len(words) - size)
+            best = max(best, 0.95 * ratio * left)
+    return best

@@ -1,0 +1,61 @@
+"""Misheard and misspelt names: "thriler", "zom bee" become words that have a meaning again.
+
+A sentence model knows no more about a word that it never saw than its pieces say. Such words, alone
+or with a neighbour, are read as the word of the skills' phrases that they are spelt most like.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable, Iterable
+
+LEAST = 0.74
+"""Likeness of spelling from which an unknown word is taken for one of the skills'."""
+MIN_LETTERS = 4
+_WORD = re.compile(r"[a-z']+")
+
+
+class Misheard:
+    """Words of the skills' phrases, and which words are known anyway."""
+
+    def __init__(self, phrases: Iterable[str], knows: Callable[[str], bool]) -> None:
+        """Collect the words.
+
+        Args:
+            phrases: What the skills are called by.
+            knows: Whether a word, in small letters, has a meaning of its own.
+        """
+        found = {word for text in phrases for word in _WORD.findall(text.lower())}
+        self._words = sorted(word for word in found if len(word) >= MIN_LETTERS)
+        self._knows = knows
+
+    def mend(self, text: str) -> str:
+        """Return the text, in small letters, with what was probably said."""
+        words = text.split()
+        mended: list[str] = []
+        at = 0
+        while at < len(words):
+            pair = words[at : at + 2]
+            unknown = [word for word in pair if _WORD.fullmatch(word) and not self._is_fine(word)]
+            joined = self._nearest("".join(pair)) if unknown and len(pair) == 2 else ("", 0.0)
+            alone = self._nearest(pair[0]) if pair[0] in unknown else ("", 0.0)
+            single = max((self._nearest(word)[1] for word in unknown), default=0.0)
+            if joined[1] >= LEAST and joined[1] > single:
+                mended.append(joined[0])
+                at += 2
+                continue
+            mended.append(alone[0] if alone[1] >= LEAST else words[at])
+            at += 1
+        return " ".join(mended)
+
+    def _is_fine(self, word: str) -> bool:
+        return word in self._words or self._knows(word)
+
+    def _nearest(self, word: str) -> tuple[str, float]:
+        best = ("", 0.0)
+        for known in self._words:
+            likeness = difflib.SequenceMatcher(None, known, word, autojunk=False).ratio()
+            if likeness > best[1]:
+                best = (known, likeness)
+        return best

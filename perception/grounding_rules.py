@@ -1,0 +1,186 @@
+"""What kind of utterance it is: stop, negation, request, question or statement; before any meaning.
+
+Sentence embeddings are blind to negation ("never do a side kick" is closest to the side kick), so
+the form of a sentence is judged by rules, and only requests are matched by meaning.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Form(Enum):
+    """The form of a clause."""
+
+    STOP = "stop"
+    NEGATED = "negated"
+    """Forbids something."""
+    REQUEST = "request"
+    """Asks for something in so many words: "can you ...", "let's ...", "show me ..."."""
+    BARE = "bare"
+    """Neither asks nor states: "salsa", "to the left"; may be a command."""
+    OTHER = "other"
+    """A question, a statement, small talk."""
+
+
+@dataclass(frozen=True)
+class Clause:
+    """One clause of an utterance: its form, and its text without what only makes the form."""
+
+    form: Form
+    text: str
+
+
+_SPLIT = re.compile(r"[.;!?:]+(?!\d)|,|(?<!anything )\bbut\b|\bthen\b|\bplease instead\b")
+_REJECTS = re.compile(r"\b(?:instead of|rather than|and not|not)\b")
+_IDIOMS = re.compile(
+    r"\b(?:if you (?:don't|do not) mind|don't be (?:shy|afraid)|do not be (?:shy|afraid)"
+    r"|don't worry|no worries|no problem|why not|i can't wait(?: to see)?|not bad|no matter)\b"
+)
+_POLITE_NOT = re.compile(r"\b(why don't|why do not|can't|couldn't|won't|wouldn't) (you|we)\b")
+_NOT = re.compile(
+    r"\b(?:don't|dont|do not|never|no more|not|no|without|doesn't|didn't|won't|can't|cannot"
+    r"|isn't|aren't|wasn't|shouldn't|mustn't|wouldn't|couldn't|ain't|nobody|nothing|quit|avoid"
+    r"|refrain|forget|skip|anything but|neither|nor)\b"
+)
+_FORBIDS = re.compile(
+    r"^(?:(?:and|so|also|ever|just|really) )*(?:don't|dont|do not|never|no more|not|no"
+    r"|you (?:mustn't|shouldn't"
+    r"|must not|should not|can't|cannot|may not)|i (?:don't|do not|never) want(?: you)?"
+    r"|we (?:don't|do"
+    r" not) want(?: you)?|quit|avoid|refrain|forget|skip|anything but|without|i forbid|under no"
+    r" circumstances|i'd rather you didn't|i would rather you did not)\b"
+)
+
+_STOP_WORD = (
+    r"(?:stop|stopp|halt|freeze|basta|abort|cease|quit(?: it)?|enough|cut it out|knock it off"
+    r"|hold it|hold still|stand still|stay still|keep still|be still|stand down|stay put"
+    r"|(?:don't|dont|do not) move|no more (?:dancing|moving|dance|moves)|finish now"
+    r"|stay where you are|that's it|that is enough|that's enough|aufhören|arrete|arrête|alto|whoa"
+    r"|pause)"
+)
+_STOP = re.compile(rf"\b{_STOP_WORD}\b")
+_STOP_ALONE = re.compile(rf"^{_STOP_WORD}\b")
+_GO_ON = re.compile(
+    r"\b(?:(?:don't|dont|do not|never|can't|cannot|won't|not|nobody can) (?:ever |you |even )*"
+    r"(?:stop|freeze|quit|halt|pause|cease)|without (?:stopping|a pause|stop)|non ?stop"
+    r"|keep (?:going|on|it up)|carry on|go on|continue$"
+    r"|stop at nothing|(?:bus|pit|full|next) stop|not enough|pause button)\b"
+)
+
+_ADDRESS = re.compile(
+    r"^(?:(?:hey|hi|ok|okay|yo|oh|well|so|now|and|alright|all right|come on|dear|mister|mr|listen"
+    r"|robot|robbie|downbeat|buddy|friend|my friend|g one|g1|everybody|yes|yeah|sure|please|kindly"
+    r"|quickly|just|maybe|perhaps|great|perfect|for me|for us|thanks|um|uh|er|right now"
+    r"|go ahead and"
+    r"|sorry|excuse me|again|next|hm) )+"
+)
+_TAIL = re.compile(
+    r"(?: (?:please|now|right now|(?<!the )(?<!a )robot|for me|for us|for the audience"
+    r"|for my friends|buddy|mate"
+    r"|thanks|thank you|would you|will you|could you|can you|if you like|if you can|okay|ok"
+    r"|at once|immediately|instead|with me|a bit|a little|for a while|here|today|tonight|sometime"
+    r"|downbeat))+$"
+)
+_ASKS = re.compile(
+    r"^(?:(?:can|could|would|will|won't|can't|couldn't|wouldn't) you(?: please| kindly| maybe"
+    r"| perhaps| also)*(?: be so kind(?: as)? to| mind| try to| like to)?"
+    r"|(?:can|could|may|might|shall) (?:we|i|you)(?: all)?(?: please)?(?: get| have| see| watch)?"
+    r"|(?:i|we)(?: really| just)?(?:'d| would| want| need| wish| wanna)(?: really)?"
+    r"(?: love| like| prefer| want)?(?: for)?(?: you)?(?: to)?(?: see| watch| have| get)?(?: you)?"
+    r"|let's(?: all)?(?: see| have| try)?|let us(?: see| have| try)?|let me see"
+    r"|how about|what about|why don't (?:you|we)|why not|it's time (?:for|to)|it is time (?:for|to)"
+    r"|time (?:for|to)|you (?:should|must|have to|need to|could|may|can)(?: now)?|i dare you to"
+    r"|i want|we want|your turn to|it's your turn to|now it's time for)\b ?"
+)
+_DOES = re.compile(
+    r"^(?:(?:please|now|show (?:me|us|them|everyone)(?: how to| that you can| how you| your best"
+    r"| your| some)?|do(?: me)?(?: your best| your)?|perform|give (?:me|us)|try|start(?: to)?"
+    r"|begin(?: to)?"
+    r"|go(?: and)?|play|start doing|start dancing|dance|dancing|doing|make|let"
+    r"|switch(?: over)? to|change to"
+    r"|go (?:back )?to|move on to|continue with|keep|busting|bust|pull off|pull|demonstrate|present"
+    r"|act|show off|repeat|hit(?: me with)?|bring on|drop into|break into|turn|walk|wave|greet|step"
+    r"|move|swing|sway|shake|say|twist|pump|rock|march|come|get|raise|point|circle|wiggle|pretend"
+    r"|imitate|be|behave|take|rest|relax|swirl|spin|throw|put|stretch|stomp|stagger|stumble"
+    r"|ripple|push|party)\b ?)+"
+)
+_QUESTION = re.compile(
+    r"^(?:what|who|whom|whose|when|where|why|how|which|is|are|am|was|were|do|does|did|has|have|had"
+    r"|should|isn't|aren't|don't|doesn't|didn't|haven't|can|could|would|will|may|did you"
+    r"|tell|explain|describe)\b(?! (?:a|the|some|your|it|that|me|us|an|more|do|one)\b)"
+)
+_ASKS_ABOUT = re.compile(
+    r"^(?:do (?:you|we|they|i|people|robots|your|my)|(?:does|did|are|is|was|were|have|has|had)"
+    r" (?:you|we|they|i|he|she|it|the|that|this|there|people|robots|your|my)|what|who|whose|when"
+    r"|where|why|how|which|tell|explain|describe"
+    r"|can (?:i|he|she|it|they|people|robots)|could (?:i|he|she|it|they)|remind)\b"
+)
+_STATES = re.compile(
+    r"^(?:i|i'm|i've|i'll|my|me|we|we're|we've|our|he|he's|his|she|she's|her|it|it's|its|they"
+    r"|they're|their|you|you're|you've|your|this|that|that's|these|those|there|there's|some|many"
+    r"|most|everyone|everybody|people|yesterday|today|tomorrow|tonight|last|in|on|at|after|before"
+    r"|because|if|since|while|once upon|good|thank|thanks|mom|dad|one of|all|every|both|usually"
+    r"|sometimes|often|always|nice|great|wow|cool|someone|somebody|robots|dancers|kids|children)\b"
+)
+_TELLS = re.compile(
+    r"^(?:the|a|an)\b.*\b(?:is|are|was|were|will|has|have|had|looks?|smells?|tastes?|sounds?"
+    r"|broke|went"
+    r"|came|goes|comes|got|gets|lives?|hit|fell|needs?|costs?|starts?|ends?|closed?|opens?|said"
+    r"|says"
+    r"|made|makes|took|takes|[a-z]{3,}ed)\b"
+)
+"""A thing and what became of it: "the salsa was too spicy"."""
+
+
+def plain(text: str) -> str:
+    """Return the text in small letters with straight apostrophes and single spaces."""
+    return " ".join(text.lower().replace("’", "'").replace("`", "'").split())
+
+
+def clauses(text: str) -> list[Clause]:
+    """Return the clauses of an utterance, in order."""
+    cleaned = _IDIOMS.sub(" ", plain(text))
+    cleaned = _POLITE_NOT.sub(
+        lambda m: {"won't": "will", "can't": "can"}.get(m[1], "could") + " you", cleaned
+    )
+    found = []
+    for part in _SPLIT.split(cleaned):
+        part = re.sub(r"[^\w'.äöüàéèêß -]", " ", part)
+        part = " ".join(part.strip(" .-").split())
+        if part:
+            found += _judge(part)
+    return found
+
+
+def _judge(part: str) -> list[Clause]:
+    bare = _TAIL.sub("", _ADDRESS.sub("", part + " ").strip()).strip() or part
+    is_statement = bool(_STATES.match(bare)) and not _ASKS.match(bare)
+    goes_on = _GO_ON.search(bare)
+    if _STOP.search(bare) and not goes_on:
+        about = _ASKS_ABOUT.match(bare) or (is_statement and not _STOP_ALONE.match(bare))
+        starts = re.match(r"^(?:the|a|an)\b", bare)
+        if not about and not starts:
+            return [Clause(Form.STOP, bare)]
+    if goes_on:
+        return [Clause(Form.OTHER, bare)]
+    if _FORBIDS.match(bare):
+        return [Clause(Form.NEGATED, _FORBIDS.sub("", bare).strip())]
+    if (split := _REJECTS.search(bare)) and split.start() > 0 and not is_statement:
+        head, tail = bare[: split.start()].strip(), bare[split.end() :].strip()
+        return [*_judge(head), Clause(Form.NEGATED, tail)]
+    if _NOT.search(bare):
+        return [Clause(Form.OTHER, bare)]
+    if asks := _ASKS.match(bare):
+        rest = bare[asks.end() :].strip()
+        rest = _ADDRESS.sub("", rest + " ").strip()
+        return [Clause(Form.REQUEST, rest or bare)]
+    if _ASKS_ABOUT.match(bare):
+        return [Clause(Form.OTHER, bare)]
+    if _DOES.match(bare):
+        return [Clause(Form.REQUEST, bare)]
+    if _STATES.match(bare) or _TELLS.match(bare):
+        return [Clause(Form.OTHER, bare)]
+    return [Clause(Form.BARE, bare)]

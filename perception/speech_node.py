@@ -1,0 +1,292 @@
+"""The speech process: AUDIO_CHUNK in; TRANSCRIPT, SPEECH_INTENT and SPEECH out."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from downbeat.lcm_types import (
+    audio_chunk_t,
+    music_match_t,
+    speech_intent_t,
+    transcript_t,
+)
+from downbeat.perception.conversation import Context, Conversation, Reply
+from downbeat.perception.grounding import Grounder, Intent, IntentKind
+from downbeat.perception.own_voice import OwnVoice
+from downbeat.perception.recogniser_openai import wav_bytes
+from downbeat.perception.recognisers import Recogniser, Recognition
+from downbeat.perception.reply_table import FOLLOWING, NOT_UNDERSTOOD, SERVICE_FAILED
+from downbeat.perception.segments import Segment, Segmenter, refusal
+from downbeat.perception.speech_mouth import Mouth
+from downbeat.perception.speech_work import Done, Worker
+from downbeat.perception.tts import Spoken, Voice
+from downbeat.policies.manifest_types import SkillManifest
+from downbeat.runtime.bus import Bus
+
+PERIOD_US = 20_000
+CLASSES_KEPT = 120
+SORRY_PERIOD_US = 20_000_000
+"""It says at most so often that it did not understand."""
+KINDS = {
+    IntentKind.STOP: speech_intent_t.STOP,
+    IntentKind.SKILL: speech_intent_t.SKILL,
+    IntentKind.AGAIN: speech_intent_t.AGAIN,
+    IntentKind.TEMPO: speech_intent_t.TEMPO,
+    IntentKind.RESUME: speech_intent_t.RESUME,
+    IntentKind.CHAT: speech_intent_t.CHAT,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Ears:
+    """What turns sound into wishes."""
+
+    segmenter: Segmenter
+    recogniser: Recogniser
+    grounder: Grounder
+    conversation: Conversation | None
+    voice: Voice
+
+
+@dataclass(frozen=True, slots=True)
+class Understood:
+    """A recognised utterance."""
+
+    segment: Segment
+    recognition: Recognition
+    intent: Intent
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What to say, and its sound."""
+
+    reply: Reply
+    spoken: Spoken
+
+
+class SpeechNode:
+    """Node "speech", 50 Hz."""
+
+    name = "speech"
+    period_us = PERIOD_US
+
+    def __init__(
+        self,
+        bus: Bus,
+        ears: Ears,
+        mouth: Mouth,
+        worker: Worker,
+        skills: Mapping[str, SkillManifest],
+        language: str = "en",
+        answer_unrecognised: bool = False,
+        keep: Path | None = None,
+        titles: Mapping[str, str] | None = None,
+    ) -> None:
+        """Wire the process.
+
+        Args:
+            bus: Endpoint of the process "speech".
+            ears: Segmenter, recogniser, grounding, conversation and voice.
+            mouth: Where it speaks.
+            worker: Does what takes time.
+            skills: What may be asked for, by name.
+            language: Of the recogniser.
+            answer_unrecognised: Say so when speech was heard and nothing understood.
+            keep: Folder for recordings; None: nothing is kept.
+            titles: Of tracks, by name.
+        """
+        self._bus = bus
+        self._ears = ears
+        self._mouth = mouth
+        self._worker = worker
+        self._skills = skills
+        self._language = language
+        self._answer_unrecognised = answer_unrecognised
+        self._keep = keep
+        self._titles = titles or {}
+        self._own = OwnVoice()
+        self._classes: deque[tuple[int, float, float]] = deque(maxlen=CLASSES_KEPT)
+        self._next_id = 1
+        self._track = ""
+        self._sorry_utime = -SORRY_PERIOD_US
+        self.refused: dict[str, int] = {}
+        """Why segments went no further, and how often."""
+        self.failures: list[str] = []
+        """What did not work, each thing once."""
+        bus.subscribe("AUDIO_CHUNK", "AUDIO_CLASS", "MUSIC_MATCH", "SKILL_STATUS", "CONTROL_STATUS")
+
+    def step(self, utime: int) -> None:
+        """Hear, answer and speak at `utime` [us]."""
+        self._bus.pump()
+        for received in self._bus.take("AUDIO_CLASS"):
+            msg = received.msg
+            self._classes.append((int(msg.window_end_utime), msg.p_speech, msg.p_music))
+        for received in self._bus.take("MUSIC_MATCH"):
+            is_locked = received.msg.lock == music_match_t.LOCKED
+            self._track = received.msg.track if is_locked else ""
+        for received in self._bus.take("AUDIO_CHUNK"):
+            self._hear(received.msg, utime)
+        for done in self._worker.done(utime):
+            self._finish(done, utime)
+        for received in self._bus.take("SKILL_STATUS"):
+            self._mouth.follow(received.msg)
+        begun = self._mouth.update(utime)
+        if begun is not None:
+            self._own.play(begun.samples, utime)
+
+    # ------------------------------------------------------------------ ears
+
+    def _hear(self, msg: audio_chunk_t, utime: int) -> None:
+        samples = np.asarray(msg.samples, np.float32) / 32768.0
+        for segment in self._ears.segmenter.push(samples, int(msg.first_sample_utime)):
+            why = self._refusal(segment)
+            if not why and not self._worker.submit(
+                "hear", lambda segment=segment: self._understand(segment), utime
+            ):
+                why = "too much is waiting"
+            if why:
+                self.refused[why.split(" ")[0]] = self.refused.get(why.split(" ")[0], 0) + 1
+
+    def _refusal(self, segment: Segment) -> str:
+        scores = [
+            (speech, music)
+            for at, speech, music in self._classes
+            if segment.start_utime <= at <= segment.end_utime + 1_000_000
+            and math.isfinite(speech)
+            and math.isfinite(music)
+        ]
+        means = np.mean(scores, axis=0) if scores else (math.nan, math.nan)
+        why = refusal(segment, self._ears.segmenter.config, float(means[0]), float(means[1]))
+        if not why and self._own.is_own(segment.samples, segment.start_utime, segment.end_utime):
+            why = "own voice"
+        return why
+
+    def _understand(self, segment: Segment) -> Understood:
+        recognition = self._ears.recogniser.recognise(segment.samples, self._language)
+        return Understood(segment, recognition, self._ears.grounder.ground(recognition.text))
+
+    # ------------------------------------------------------------------ decisions
+
+    def _finish(self, done: Done, utime: int) -> None:
+        self._note(done.failure)
+        if isinstance(done.result, Understood):
+            self._note(done.result.recognition.failure)
+            self._decide(done.result, utime)
+        elif isinstance(done.result, Answer):
+            self._note(done.result.reply.failure)
+            self._note(done.result.spoken.failure)
+            self._mouth.say(done.result.spoken, utime)
+
+    def _note(self, failure: str) -> None:
+        """Say on the terminal what does not work, each thing once."""
+        if failure and failure not in self.failures:
+            self.failures.append(failure)
+            print(failure, file=sys.stderr, flush=True)
+
+    def _decide(self, heard: Understood, utime: int) -> None:
+        intent, text = heard.intent, heard.recognition.text
+        self._publish_transcript(heard, utime)
+        self._store(heard)
+        if not text:
+            failed = bool(heard.recognition.failure)
+            if failed or self._answer_unrecognised:
+                self._apologise(SERVICE_FAILED if failed else NOT_UNDERSTOOD, utime)
+            return
+        if intent.kind not in KINDS:
+            return
+        if self._mouth.is_speaking and intent.kind is not IntentKind.CHAT:
+            self._mouth.stop(utime)  # barge-in: a command ends the answer
+            self._own.stop(utime)
+        self._publish_intent(heard, utime)
+        if intent.kind is IntentKind.STOP:
+            self._mouth.is_held = True
+        elif intent.kind in (IntentKind.SKILL, IntentKind.AGAIN, IntentKind.RESUME):
+            self._mouth.is_held = False
+        if intent.kind is IntentKind.TEMPO and self._track:
+            self._answer(FOLLOWING, utime)
+        elif intent.kind is IntentKind.CHAT and self._ears.conversation is not None:
+            context, chat = self._context(), self._ears.conversation
+            self._speak(lambda: chat.reply(text, context), utime)
+
+    def _apologise(self, text: str, utime: int) -> None:
+        """Say that something was not understood, now and then."""
+        if utime - self._sorry_utime > SORRY_PERIOD_US:
+            self._sorry_utime = utime
+            self._answer(text, utime)
+
+    def _answer(self, text: str, utime: int) -> None:
+        self._speak(lambda: Reply(text, "own"), utime)
+
+    def _speak(self, think: Callable[[], Reply], utime: int) -> None:
+        voice = self._ears.voice
+
+        def work() -> Answer:
+            reply = think()
+            return Answer(reply, voice.say(reply.text))
+
+        self._worker.submit("answer", work, utime)
+
+    def _context(self) -> Context:
+        received = self._bus.latest("CONTROL_STATUS")
+        name = "" if received is None else received.msg.skill
+        playing = self._skills[name].title if name in self._skills and name != "stand" else ""
+        titles = tuple(
+            one.title for key, one in self._skills.items() if key not in ("stand", "talk")
+        )
+        return Context(titles, playing, self._titles.get(self._track, self._track))
+
+    # ------------------------------------------------------------------ messages
+
+    def _publish_transcript(self, heard: Understood, utime: int) -> None:
+        msg: Any = transcript_t()
+        msg.header.utime = utime
+        msg.start_utime = heard.segment.start_utime
+        msg.end_utime = heard.segment.end_utime
+        msg.is_final = True
+        msg.language = self._language
+        msg.text = heard.recognition.text
+        msg.confidence = heard.recognition.confidence
+        msg.backend = heard.recognition.backend
+        msg.compute_us = min(int(heard.recognition.compute_us), 2**31 - 1)
+        self._bus.publish("TRANSCRIPT", msg)
+
+    def _publish_intent(self, heard: Understood, utime: int) -> None:
+        intent, said = heard.intent, heard.intent.parameters
+        msg: Any = speech_intent_t()
+        msg.header.utime = utime
+        msg.utterance_id = self._next_id
+        msg.end_utime = heard.segment.end_utime
+        msg.kind = KINDS[intent.kind]
+        msg.skill = intent.skill
+        msg.score = float(min(max(intent.score, 0.0), 1.0))
+        msg.margin = float(intent.margin)
+        msg.negated = intent.negated
+        msg.duration_s = said.duration_s or 0.0
+        msg.distance_m = said.distance_m or 0.0
+        msg.repeat = said.repeat or 0
+        msg.tempo = said.tempo
+        msg.text = heard.recognition.text
+        self._next_id += 1
+        self._bus.publish("SPEECH_INTENT", msg)
+
+    def _store(self, heard: Understood) -> None:
+        if self._keep is None:
+            return
+        self._keep.mkdir(parents=True, exist_ok=True)
+        path = self._keep / f"{heard.segment.start_utime}.wav"
+        path.write_bytes(wav_bytes(heard.segment.samples))
+        path.with_suffix(".txt").write_text(heard.recognition.text + "\n", encoding="utf-8")
+
+    def close(self) -> None:
+        """Finish what sounds."""
+        self._worker.close()
+        self._mouth.close()

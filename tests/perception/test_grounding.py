@@ -1,0 +1,155 @@
+"""From a transcript to a skill, a stop or an answer: on the written set and on what breaks it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from downbeat.perception.errors import PerceptionError
+from downbeat.perception.grounding import NOT_BY_VOICE, Grounder, IntentKind
+from downbeat.perception.grounding_misheard import Misheard
+from downbeat.policies.manifest import load_skills
+from downbeat.tools.eval_speech import load_utterances, score
+
+UTTERANCES = Path(__file__).parent / "utterances.tsv"
+MOVES = (IntentKind.SKILL, IntentKind.AGAIN)
+
+
+@pytest.fixture(scope="module")
+def skills():
+    return load_skills()
+
+
+@pytest.fixture(scope="module")
+def model():
+    from downbeat.perception.sentence_model import SentenceModel
+
+    try:
+        return SentenceModel()
+    except PerceptionError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def by_meaning(skills, model):
+    return Grounder(skills, model)
+
+
+@pytest.fixture(scope="module")
+def by_letters(skills):
+    return Grounder(skills, None)
+
+
+def test_without_the_model_nothing_forbidden_is_done_and_phrases_work(by_letters, skills):
+    rows = load_utterances(UTTERANCES)
+    result = score(by_letters, rows, "letters")
+    assert result.negation_errors == 0, result.wrong
+    assert result.false_triggers <= 0.03, result.wrong
+    for name, skill in skills.items():
+        for phrase in skill.phrases:
+            intent = by_letters.ground(phrase)
+            if name not in NOT_BY_VOICE and intent.kind is not IntentKind.STOP:
+                assert intent.skill == name, phrase
+
+
+def test_every_phrase_of_a_manifest_means_its_skill(by_meaning, skills):
+    for name, skill in skills.items():
+        if name in NOT_BY_VOICE:
+            continue
+        for phrase in skill.phrases:
+            intent = by_meaning.ground(phrase)
+            assert intent.kind is IntentKind.STOP or intent.skill == name, phrase
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_no_phrase_is_done_when_it_is_forbidden(data, by_meaning, skills):
+    names = sorted(set(skills) - NOT_BY_VOICE)
+    phrase = data.draw(st.sampled_from(skills[data.draw(st.sampled_from(names))].phrases))
+    no = data.draw(st.sampled_from(["don't ", "do not ", "never ", "please don't do the ", "no "]))
+    assert by_meaning.ground(no + phrase).kind not in MOVES
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_a_stop_beside_any_request_is_a_stop(data, by_meaning, skills):
+    names = sorted(set(skills) - NOT_BY_VOICE)
+    phrase = data.draw(st.sampled_from(skills[data.draw(st.sampled_from(names))].phrases))
+    text = data.draw(st.sampled_from(["{}, stop", "stop. {}", "stop the {}", "{} and then stop"]))
+    assert by_meaning.ground(text.format(phrase)).kind is IntentKind.STOP
+
+
+@settings(max_examples=100, deadline=None)
+@given(text=st.text(max_size=300))
+def test_any_text_is_an_intent(text, by_meaning):
+    intent = by_meaning.ground(text)
+    assert 0.0 <= intent.score <= 1.0
+    assert (intent.kind is IntentKind.SKILL) <= bool(intent.skill)
+
+
+def test_numbers_travel_with_the_request(by_meaning):
+    wave = by_meaning.ground("please wave your hand for five seconds")
+    assert (wave.skill, wave.parameters.duration_s) == ("wave", 5.0)
+    walk = by_meaning.ground("walk forward two metres")
+    assert (walk.skill, walk.parameters.distance_m) == ("walk", 2.0)
+
+
+def test_the_gesture_of_the_own_speech_is_not_for_asking(by_meaning):
+    assert by_meaning.ground("make talking gestures").skill not in NOT_BY_VOICE
+
+
+def test_standing_is_a_stop(by_meaning):
+    assert by_meaning.ground("please stand").kind is IntentKind.STOP
+
+
+def test_unknown_words_become_the_skill_they_sound_like():
+    known = {"do", "the", "like", "bee", "a", "be", "dance", "her"}
+    misheard = Misheard(["thriller", "zombie", "twist", "salsa"], known.__contains__)
+    assert misheard.mend("do the thriler") == "do the thriller"
+    assert misheard.mend("be a zom bee") == "be a zombie"
+    assert misheard.mend("dance sal sa") == "dance salsa"
+    assert misheard.mend("do the quokka") == "do the quokka"
+
+
+def test_known_words_are_left_alone(model, skills):
+    misheard = Misheard([text for one in skills.values() for text in one.phrases], model.knows)
+    for text in ("walk the talk", "the twins are here", "a robbery in the disco", "waves and wars"):
+        assert misheard.mend(text) == text
+
+
+def test_sentences_near_in_meaning_are_near_as_vectors(model):
+    texts = ["wave at the audience", "greet the crowd with your hand", "my car needs new tyres"]
+    first, near, far = model.embed(texts)
+    assert np.allclose(np.linalg.norm([first, near, far], axis=1), 1.0, atol=1e-5)
+    assert first @ near > 0.25 + first @ far
+
+
+def test_a_vector_does_not_depend_on_its_neighbours_in_the_batch(model):
+    alone = model.embed(["dance"])[0]
+    beside = model.embed(["dance", "a much longer sentence that makes the others be padded"])[0]
+    assert np.allclose(alone, beside, atol=1e-5)
+
+
+def test_cosines_are_those_of_the_published_model(model):
+    """The example of the published model's card."""
+    a, b, c = model.embed(["That is a happy person", "That is a happy dog", "Today is a sunny day"])
+    assert a @ b == pytest.approx(0.695, abs=0.01)
+    assert a @ c == pytest.approx(0.257, abs=0.01)
+
+
+def test_wrong_weights_are_refused(tmp_path):
+    from downbeat.perception.sentence_model import SentenceModel, packaged_folder
+
+    try:
+        folder = packaged_folder()
+    except PerceptionError as error:
+        pytest.skip(str(error))
+    for name in ("tokenizer.json", "config.json"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    weights = bytearray((folder / "model.safetensors").read_bytes())
+    weights[-1] ^= 1
+    (tmp_path / "model.safetensors").write_bytes(weights)
+    with pytest.raises(PerceptionError, match="digest"):
+        SentenceModel(tmp_path)

@@ -1,0 +1,110 @@
+"""Builds the speech process from speech.toml: one place that knows every part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from downbeat.perception.errors import PerceptionError
+from downbeat.perception.grounding import NOT_BY_VOICE, Grounder
+from downbeat.perception.recognisers import make_recogniser
+from downbeat.perception.reply_table import QUESTIONS
+from downbeat.perception.segments import Segmenter
+from downbeat.perception.sentence_model import SentenceModel
+from downbeat.perception.speaker import FileSpeaker, LocalSpeaker, Speaker
+from downbeat.perception.speech_config import SpeechConfig, make_conversation, make_voice
+from downbeat.perception.speech_mouth import Mouth
+from downbeat.perception.speech_node import Ears, SpeechNode
+from downbeat.perception.speech_work import SimulatedWorker, ThreadWorker
+from downbeat.perception.vad import Vad
+from downbeat.policies.manifest_types import SkillManifest
+from downbeat.runtime.bus import Bus
+
+SPOKEN_NAME = "spoken.wav"
+ROBOT = "robot:"
+OUTPUTS = "file, card, none or robot:INTERFACE"
+RESUME_PHRASES = ("keep dancing", "continue", "dance again", "dance to the music")
+TEMPO_PHRASES = ("faster", "slower", "do it again", "once more")
+
+
+def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears:
+    """Load the models: 3 s.
+
+    Raises:
+        PerceptionError: Something that the configuration asks for is missing.
+    """
+    allowed = {
+        name: one
+        for name, one in skills.items()
+        if not config.skills or name in config.skills or name == "stand"
+    }
+    said = [
+        text for name, one in allowed.items() if name not in NOT_BY_VOICE for text in one.phrases
+    ]
+    said += [*QUESTIONS, *RESUME_PHRASES, *TEMPO_PHRASES]
+    return Ears(
+        Segmenter(Vad(), config.segments),
+        make_recogniser(config.recogniser, said),
+        Grounder(allowed, sentence_model(config)),
+        make_conversation(config.chat),
+        make_voice(config.voice),
+    )
+
+
+def sentence_model(config: SpeechConfig) -> SentenceModel | None:
+    """Return the sentence model; None where the recogniser only hears known phrases anyway.
+
+    Raises:
+        PerceptionError: A free recogniser was asked for, and the model is missing.
+    """
+    try:
+        return SentenceModel()
+    except PerceptionError:
+        if config.recogniser.backend == "pocketsphinx":
+            return None
+        raise
+
+
+def make_speaker(output: str, folder: Path, first_utime: int) -> Speaker | None:
+    """Return where it sounds.
+
+    Raises:
+        PerceptionError: There is no such output, or no such device.
+    """
+    if output == "none":
+        return None
+    if output == "file":
+        return FileSpeaker(folder / SPOKEN_NAME, first_utime)
+    if output == "card":
+        return LocalSpeaker()
+    if output.startswith(ROBOT):
+        from downbeat.control.bridge.dds import open_link
+        from downbeat.control.bridge.loop import open_service
+        from downbeat.control.bridge.voice import SERVICE, RobotSpeaker
+
+        return RobotSpeaker(open_service(open_link(output.removeprefix(ROBOT), 0), SERVICE))
+    raise PerceptionError(f"voice.output = '{output}' does not exist; valid are {OUTPUTS}.")
+
+
+def build_speech(
+    config: SpeechConfig,
+    skills: Mapping[str, SkillManifest],
+    bus: Bus,
+    folder: Path,
+    first_utime: int,
+    is_simulated_time: bool,
+    titles: Mapping[str, str],
+) -> SpeechNode:
+    """Build the process; see `show.make_speech`."""
+    speaker = make_speaker(config.voice.output, folder, first_utime)
+    return SpeechNode(
+        bus,
+        make_ears(config, skills),
+        Mouth(bus, speaker, config.voice.gesture),
+        SimulatedWorker() if is_simulated_time else ThreadWorker(),
+        skills,
+        config.language,
+        config.answer_unrecognised,
+        folder / config.keep_recordings if config.keep_recordings else None,
+        titles,
+    )
