@@ -23,8 +23,8 @@ FOOTWORK_BLEND_TICKS = 15
 WALK_BLEND_TICKS = 10
 LEARNED_BLEND_TICKS = 15
 """0.3 s to or from an imported policy, which balances by itself while it is faded in."""
-BALANCE_HOLD_TICKS = 50
-"""1 s in the balance policy between a learned motion and our own skills."""
+BALANCE_HOLD_TICKS = 35
+"""0.7 s in the balance policy between a learned motion and our own skills."""
 STAND_HOLD_TICKS = 15
 """Stand time between two blends of a route via stand."""
 SNAP_TO_BEAT_US = 60_000

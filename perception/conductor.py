@@ -143,6 +143,8 @@ class Conductor:
         if place is None:
             self._drop_ahead(out, now, "the lock is lost")
             return out
+        if self._current is None and self._ahead is not None:
+            return out  # speech has just given the body back, and what follows is on its way
         here, following = self._timeline.spans(*place, now)
         self._ask_here(out, here, following, now)
         self._ask_ahead(out, following, now)
@@ -202,6 +204,11 @@ class Conductor:
         self, out: list[skill_request_t], here: Span, following: Span | None, now: int
     ) -> None:
         if self._current is not None and here.is_same(self._current.span):
+            return
+        if self._ahead is not None and here.is_same(self._ahead.span):
+            # The lock moved the boundary by less than is worth a new request: it begins now.
+            self._current, self._ahead = self._ahead, None
+            self._is_standing = False
             return
         if following is not None and following.start_utime - now < MIN_SPAN_US:
             return

@@ -28,7 +28,6 @@ QUESTIONS = (
     "can you hear me",
     "thank you",
     "thanks a lot",
-    "hello robot",
     "good morning",
     "good evening",
     "good night",

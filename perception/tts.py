@@ -20,7 +20,7 @@ from downbeat.perception.speaker import SAMPLE_RATE_HZ
 I16 = npt.NDArray[np.int16]
 DEFAULT_MODEL = "gpt-4o-mini-tts"
 DEFAULT_VOICE = "alloy"
-LETTERS_PER_S = 14.0
+LETTERS_PER_S = 16.0
 """Of espeak-ng at 165 words a minute, measured over the embedded answers."""
 MAX_S = 60.0
 _TIMEOUT_S = 10.0
@@ -68,7 +68,7 @@ class SilentVoice:
 
 def silent(text: str, backend: str, failure: str = "") -> Spoken:
     """Return an utterance that is only shown."""
-    duration_s = min(MAX_S, 0.4 + len(text) / LETTERS_PER_S)
+    duration_s = min(MAX_S, 0.2 + len(text) / LETTERS_PER_S)
     return Spoken(text, np.zeros(0, np.int16), duration_s, backend, failure)
 
 

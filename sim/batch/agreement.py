@@ -27,11 +27,11 @@ from downbeat.sim.batch.states import visit
 
 SEED = 4711
 CELLS = (
-    ("kpop", "disco", "fade_0.3"),
-    ("boxstep", "waltz", "fade_0.3"),
-    ("stand", "discostep", "fade_0.3"),
+    ("kpop", "disco", "fade_0.3", (7.0, 8.0, 9.0)),
+    ("boxstep", "waltz", "fade_0.3", (7.0, 8.0, 9.0)),
+    ("stand", "discostep", "fade_0.3", (8.0, 10.0, 11.0)),
 )
-PUSHES_N_S = (8.0, 10.0, 12.0)
+"""Source, target, mode, and the pushes [N s] at which 10 to 50 % fall."""
 HORIZON_S = 2.2
 
 
@@ -80,9 +80,9 @@ def compare(engines: Sequence[Engine], rollouts: int) -> list[CellAgreement]:
     skills, profile = load_skills(), load_profile()
     blocks = max(1, rollouts // BLOCK)
     found = []
-    for source, target, mode in CELLS:
+    for source, target, mode, pushes in CELLS:
         a, b = skills[source], skills[target]
-        for impulse in PUSHES_N_S:
+        for impulse in pushes:
             fallen, count = [0, 0], 0
             for block in range(blocks):
                 calm = draw_block(profile, SEED, block)

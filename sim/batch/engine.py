@@ -227,6 +227,9 @@ def resolve_engine(name: EngineName) -> EngineName:
 def _has_gpu() -> bool:
     if find_spec("jax") is None or find_spec("mujoco.mjx") is None:
         return False
+    from downbeat.sim.batch.xla import calm_xla
+
+    calm_xla()
     import jax
 
     try:

@@ -41,8 +41,10 @@ from downbeat.sim.batch.script import Script
 from downbeat.sim.batch.skills import Array, BatchSkill, Network, batch_skill
 from downbeat.sim.batch.states import standing_qpos
 from downbeat.sim.batch.steering import begin_steering, steer
+from downbeat.sim.batch.xla import calm_xla
 from downbeat.sim.errors import SimError
 
+calm_xla()
 FALLEN_BELOW_M = 0.5
 NOISE_PARTS = (3, 3, NUM_JOINTS, NUM_JOINTS, 3)
 VARIED = (
