@@ -10,9 +10,24 @@ import difflib
 import re
 from collections.abc import Callable, Iterable
 
-LEAST = 0.74
+LEAST = 0.7
 """Likeness of spelling from which an unknown word is taken for one of the skills'."""
 MIN_LETTERS = 4
+MAX_MORE = 2
+"""Letters that a misspelling may have more or less."""
+_SOUNDS = (
+    (r"tz|ts", "s"),
+    (r"ph", "f"),
+    (r"[ckq]+", "k"),
+    (r"[sz]+", "s"),
+    (r"e?igh|ay|ey|ai", "e"),
+    (r"(?:er|ar|or|ah|oh|a|o)$", "a"),
+    (r"ie$|ey$|y$|ee", "i"),
+    (r"(?<=[a-z])h", ""),
+    (r"oo|ou|u", "a"),
+    (r"(.)\1", r"\1"),
+)
+"""Spellings of the same sound, applied in this order."""
 _WORD = re.compile(r"[a-z']+")
 
 
@@ -54,8 +69,22 @@ class Misheard:
 
     def _nearest(self, word: str) -> tuple[str, float]:
         best = ("", 0.0)
+        sound = sounds(word)
         for known in self._words:
-            likeness = difflib.SequenceMatcher(None, known, word, autojunk=False).ratio()
+            if abs(len(known) - len(word)) > MAX_MORE:
+                continue  # a handstand is no stand
+            likeness = 0.5 * (_alike(known, word) + _alike(sounds(known), sound))
             if likeness > best[1]:
                 best = (known, likeness)
         return best
+
+
+def sounds(word: str) -> str:
+    """Return roughly how a word sounds, so that what sounds alike is spelt alike."""
+    for letters, sound in _SOUNDS:
+        word = re.sub(letters, sound, word)
+    return word
+
+
+def _alike(a: str, b: str) -> float:
+    return difflib.SequenceMatcher(None, a, b, autojunk=False).ratio()

@@ -34,7 +34,11 @@ class Clause:
 
 
 _SPLIT = re.compile(r"[.;!?:]+(?!\d)|,|(?<!anything )\bbut\b|\bthen\b|\bplease instead\b")
-_REJECTS = re.compile(r"\b(?:instead of|rather than|and not|not)\b")
+_REJECTS = re.compile(
+    r"\b(?:instead of|rather than|and not"
+    r"|(?<!do )(?<!does )(?<!did )(?<!is )(?<!are )(?<!was )(?<!were )(?<!can )(?<!will )"
+    r"(?<!would )(?<!could )(?<!should )(?<!have )(?<!has )(?<!had )(?<!may )(?<!must )not)\b"
+)
 _IDIOMS = re.compile(
     r"\b(?:if you (?:don't|do not) mind|don't be (?:shy|afraid)|do not be (?:shy|afraid)"
     r"|don't worry|no worries|no problem|why not|i can't wait(?: to see)?|not bad|no matter)\b"
@@ -84,6 +88,10 @@ _TAIL = re.compile(
     r"|at once|immediately|instead|with me|a bit|a little|for a while|here|today|tonight|sometime"
     r"|downbeat))+$"
 )
+_NOTHING = re.compile(
+    r"^(?:please|thanks|thank you|robot|now|okay|ok|so|well|hey|yes|yeah|and|just)$"
+)
+"""No clause of its own: it belongs to the one before it, or to nobody."""
 _ASKS = re.compile(
     r"^(?:(?:can|could|would|will|won't|can't|couldn't|wouldn't) you(?: please| kindly| maybe"
     r"| perhaps| also)*(?: be so kind(?: as)? to| mind| try to| like to)?"
@@ -150,7 +158,7 @@ def clauses(text: str) -> list[Clause]:
     for part in _SPLIT.split(cleaned):
         part = re.sub(r"[^\w'.äöüàéèêß -]", " ", part)
         part = " ".join(part.strip(" .-").split())
-        if part:
+        if part and not _NOTHING.match(part):
             found += _judge(part)
     return found
 

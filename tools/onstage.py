@@ -38,9 +38,9 @@ class Line:
 
 
 SCENE = (
-    Line(12.0, "wave your hand", "en-us", "wave"),
+    Line(12.0, "walk like a zombie", "en-us", "zombie"),
     Line(25.0, "what can you do", "en-gb", "answer"),
-    Line(41.0, "do the twist", "en-us+f3", "twist"),
+    Line(41.0, "dance like a robot", "en-us+m3", "robot"),
 )
 
 
@@ -81,7 +81,7 @@ def undisturbed(sections: list[dict[str, Any]], rows: list[dict[str, Any]]) -> l
     for section in sections:
         for begin, end in ((0.0, first), (last, float("inf"))):
             start_s, end_s = max(section["start_s"], begin), min(section["end_s"], end)
-            if end_s - start_s > 2.0:
+            if end_s - start_s > 6.0:
                 boundary = "start" if start_s > section["start_s"] else section["boundary"]
                 kept.append({**section, "start_s": start_s, "end_s": end_s, "boundary": boundary})
     return kept

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 DESCRIPTIONS: dict[str, tuple[str, ...]] = {
     "armwave": (
+        "make your arms roll like the waves of the sea",
         "let a wave run through your arms from one hand to the other",
         "ripple your arms like water",
         "wavy arms dance",
@@ -38,11 +39,13 @@ DESCRIPTIONS: dict[str, tuple[str, ...]] = {
         "dance like BTS",
     ),
     "monkey": (
+        "dance like a gorilla, like King Kong",
         "dance like an ape, arms up and down",
         "sixties go-go dancing",
         "swing your arms like a chimp",
     ),
     "pump": (
+        "pump your arms to the music",
         "pump your fists in the air",
         "push the ceiling up with your hands",
         "party with your hands up, hype the crowd",
@@ -84,6 +87,7 @@ DESCRIPTIONS: dict[str, tuple[str, ...]] = {
         "dance with turning steps",
     ),
     "tutting": (
+        "bend your arms like the figures on an Egyptian wall",
         "make angles with your arms like Egyptian hieroglyphs",
         "walk like an Egyptian arm dance",
         "right-angled hand and arm dance",
@@ -93,6 +97,8 @@ DESCRIPTIONS: dict[str, tuple[str, ...]] = {
         "rock and roll dance of the sixties, twist and shout",
     ),
     "walk": (
+        "walk towards the audience",
+        "take some steps towards me",
         "take some steps forward",
         "walk a few metres ahead",
         "go straight on",
