@@ -23,8 +23,8 @@ FOOTWORK_BLEND_TICKS = 15
 WALK_BLEND_TICKS = 10
 LEARNED_BLEND_TICKS = 15
 """0.3 s to or from an imported policy, which balances by itself while it is faded in."""
-BALANCE_HOLD_TICKS = 35
-"""0.7 s in the balance policy between a learned motion and our own skills."""
+BALANCE_HOLD_TICKS = 25
+"""0.5 s alone in the balance policy between a learned motion and our own skills."""
 STAND_HOLD_TICKS = 15
 """Stand time between two blends of a route via stand."""
 SNAP_TO_BEAT_US = 60_000
@@ -148,7 +148,7 @@ def _from_learned(
         target = "stand"
         lead = half_us(blend) + (STAND_HOLD_TICKS + PLANTED_BLEND_TICKS) * TICK_US
     if active.kind == "tracking" and balance and balance != active.name:
-        lead += BALANCE_HOLD_TICKS * TICK_US + half_us(LEARNED_BLEND_TICKS)
+        lead += (BALANCE_HOLD_TICKS + LEARNED_BLEND_TICKS) * TICK_US
         return Hop(max(goal.onset_utime - lead, now), balance, LEARNED_BLEND_TICKS)
     start = goal.onset_utime - lead
     if active.kind == "tracking":
