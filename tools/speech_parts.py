@@ -78,9 +78,9 @@ def make_speaker(output: str, folder: Path, first_utime: int) -> Speaker | None:
     if output == "card":
         return LocalSpeaker()
     if output.startswith(ROBOT):
-        from downbeat.control.bridge.dds import open_link
         from downbeat.control.bridge.loop import open_service
         from downbeat.control.bridge.voice import SERVICE, RobotSpeaker
+        from downbeat.tools.bridge_run import open_link
 
         return RobotSpeaker(open_service(open_link(output.removeprefix(ROBOT), 0), SERVICE))
     raise PerceptionError(f"voice.output = '{output}' does not exist; valid are {OUTPUTS}.")
