@@ -157,7 +157,7 @@ class Grounder:
         """Return what is wanted. A stop anywhere in the utterance wins over everything."""
         found = clauses(text)
         if not found:
-            return Intent(IntentKind.NONE)
+            return Intent(IntentKind.CHAT if _WORD.search(text) else IntentKind.NONE)
         if any(clause.form is Form.STOP for clause in found):
             return Intent(IntentKind.STOP, score=1.0, margin=1.0)
         if _RESUME.match(_spoken(text)):

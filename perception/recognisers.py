@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -95,14 +95,14 @@ def nothing(backend: str, compute_us: int = 0, failure: str = "") -> Recognition
 def make_recogniser(
     config: RecogniserConfig,
     phrases: Iterable[str],
-    environment: Mapping[str, str] | None = None,
+    environment: Mapping[str, str] = MappingProxyType({}),
 ) -> Recogniser:
     """Return the configured backend; only that one's libraries are imported.
 
     Args:
         config: Which, and what it needs.
         phrases: What the skills are called by; the embedded recogniser hears nothing else.
-        environment: Where the key is looked up; None: of this process.
+        environment: Where the key is looked up.
 
     Raises:
         PerceptionError: There is no such backend, or it lacks what it needs.
@@ -111,8 +111,7 @@ def make_recogniser(
         raise PerceptionError(
             f"Recogniser {config.backend!r} does not exist; valid are {one_of(BACKENDS)}."
         )
-    env = os.environ if environment is None else environment
-    return BACKENDS[config.backend](config, phrases, env)
+    return BACKENDS[config.backend](config, phrases, environment)
 
 
 def _pocketsphinx(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Literal
 
 from downbeat.perception.conversation import ChatConversation, Conversation, TableConversation
@@ -14,6 +14,8 @@ from downbeat.perception.segments import SegmentConfig
 from downbeat.perception.services import Service
 from downbeat.perception.tts import EspeakVoice, ServiceVoice, SilentVoice, Voice, local_voice
 from downbeat.runtime.errors import one_of
+
+NO_ENVIRONMENT: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +107,7 @@ class SpeechConfig:
 
 
 def make_conversation(
-    config: ChatConfig, environment: Mapping[str, str] | None = None
+    config: ChatConfig, environment: Mapping[str, str] = NO_ENVIRONMENT
 ) -> Conversation | None:
     """Return who answers; None: nobody.
 
@@ -120,7 +122,7 @@ def make_conversation(
     return ChatConversation(service, config.model, config.system_prompt)
 
 
-def make_voice(config: VoiceConfig, environment: Mapping[str, str] | None = None) -> Voice:
+def make_voice(config: VoiceConfig, environment: Mapping[str, str] = NO_ENVIRONMENT) -> Voice:
     """Return who speaks.
 
     Raises:
@@ -137,7 +139,6 @@ def make_voice(config: VoiceConfig, environment: Mapping[str, str] | None = None
 
 
 def _service(
-    url: str, key_variable: str, timeout_s: float, environment: Mapping[str, str] | None
+    url: str, key_variable: str, timeout_s: float, environment: Mapping[str, str]
 ) -> Service:
-    env = os.environ if environment is None else environment
-    return Service(url, env.get(key_variable, ""), key_variable, timeout_s)
+    return Service(url, environment.get(key_variable, ""), key_variable, timeout_s)

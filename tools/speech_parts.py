@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -44,10 +45,10 @@ def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears
     said += [*QUESTIONS, *RESUME_PHRASES, *TEMPO_PHRASES]
     return Ears(
         Segmenter(Vad(), config.segments),
-        make_recogniser(config.recogniser, said),
+        make_recogniser(config.recogniser, said, os.environ),
         Grounder(allowed, sentence_model(config)),
-        make_conversation(config.chat),
-        make_voice(config.voice),
+        make_conversation(config.chat, os.environ),
+        make_voice(config.voice, os.environ),
     )
 
 
