@@ -54,7 +54,9 @@ _FORBIDS = re.compile(
     r"|you (?:mustn't|shouldn't"
     r"|must not|should not|can't|cannot|may not)|i (?:don't|do not|never) want(?: you)?"
     r"|we (?:don't|do"
-    r" not) want(?: you)?|quit|avoid|refrain|forget|skip|anything but|without|i forbid|under no"
+    r" not) want(?: you)?|quit|avoid|refrain|forget|skip|anything but|anything except"
+    r"|without|leave out|leave off|drop|omit|spare (?:me|us)|save (?:me|us)|lay off|hold off"
+    r"|stay away from|keep away from|no need (?:to|for)|rather not|i forbid|under no"
     r" circumstances|i'd rather you didn't|i would rather you did not)\b"
 )
 
