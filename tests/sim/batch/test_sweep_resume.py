@@ -107,6 +107,8 @@ def test_a_finished_sweep_has_nothing_left_to_do(whole, tmp_path):
 
 
 @pytest.mark.slow
+# Ray forks to execute its own servers, at once: that JAX runs in this process does not matter.
+@pytest.mark.filterwarnings("ignore:os\\.fork:RuntimeWarning")
 @pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed (extra `sweep`)")
 def test_a_cluster_of_two_workers_gives_the_rows_of_one_process(whole, tmp_path):
     from downbeat.sim.batch.cluster import spread_ray
