@@ -15,6 +15,7 @@ from urllib.parse import parse_qsl, urlencode
 import lcm
 
 from downbeat.lcm_types.channels import CHANNELS, Channel
+from downbeat.runtime import channel_filter
 from downbeat.runtime.bus_types import BusError
 from downbeat.runtime.clock import Clock
 from downbeat.runtime.endpoint import Endpoint
@@ -133,18 +134,24 @@ class UdpmBus(Endpoint):
     def __init__(self, url: UdpmUrl, clock: Clock, process: str) -> None:
         super().__init__(clock, process, epoch=secrets.randbits(62))
         self._url = url
-        self._links: dict[str, Any] = {"main": self._connect(0)}
+        self._before: dict[str, set[int]] = {}
+        self._sockets: dict[str, int | None] = {}
+        self._joined: dict[str, list[str]] = {}
+        self._links: dict[str, Any] = {"main": self._connect("main", 0)}
 
-    def _connect(self, port_offset: int) -> Any:
+    def _connect(self, group: str, port_offset: int) -> Any:
         check_multicast(self._url)
+        before = channel_filter.descriptors()
         try:
-            return lcm.LCM(self._url.text(port_offset))
+            link = lcm.LCM(self._url.text(port_offset))
         except (OSError, RuntimeError, MemoryError, ValueError) as error:
             raise _multicast_error(self._url, str(error) or type(error).__name__) from error
+        self._before[group] = before
+        return link
 
     def _link(self, group: str) -> Any:
         if group not in self._links:
-            self._links[group] = self._connect(AUDIO_PORT_OFFSET)
+            self._links[group] = self._connect(group, AUDIO_PORT_OFFSET)
         return self._links[group]
 
     def _send(self, channel: str, payload: bytes) -> None:
@@ -156,9 +163,20 @@ class UdpmBus(Endpoint):
                 log.error("not sent on %s: %s", channel, error)
 
     def _join(self, channel: Channel) -> None:
-        subscription = self._link(channel.group).subscribe(channel.name, self._receive)
+        link, group = self._link(channel.group), channel.group
+        subscription = link.subscribe(channel.name, self._receive)
         # A full queue keeps the OLDEST messages; 0: no limit, pump drains it.
         subscription.set_queue_capacity(0)
+        self._joined.setdefault(group, []).append(channel.name)
+        if group not in self._sockets:
+            # LCM opens its socket now or when it was made, and keeps it to itself: it is the new
+            # one on this port.
+            opened = channel_filter.descriptors() - self._before[group]
+            port = self._url.port + (0 if group == "main" else AUDIO_PORT_OFFSET)
+            self._sockets[group] = channel_filter.bound_to(opened, port)
+        descriptor = self._sockets[group]
+        if descriptor is not None:
+            channel_filter.attach(descriptor, self._joined[group])
 
     def pump(self, timeout_s: float = 0.0) -> int:
         """Take everything that has arrived; see `Bus.pump`."""
