@@ -27,8 +27,9 @@ class SpyError(ToolError):
 
 
 def lcm_files() -> list[Path]:
-    """Return the .lcm files of the wire contract, sorted."""
-    return sorted(Path(lcm_types.__file__).parent.glob("*_t.lcm"))
+    """Return the .lcm files of the wire contract and of `bridge --compat`, sorted."""
+    folder = Path(lcm_types.__file__).parent
+    return sorted([*folder.glob("*_t.lcm"), *folder.glob("compat/*_lcmt.lcm")])
 
 
 def types_jar_path(cache_dir: Path) -> Path:
