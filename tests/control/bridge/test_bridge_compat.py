@@ -61,6 +61,17 @@ def test_states_go_out_with_the_fields_of_the_field():
     assert list(rc.left_stick) == [0.25, -0.5]
 
 
+def test_states_go_out_two_hundred_times_a_second_though_cycles_take_2_ms():
+    bench = Bench().to(Stage.ZERO_TORQUE)
+    foreign = Foreign(bench.core)
+    for _ in range(500):
+        bench.step()
+        foreign.compat(bench.utime)
+    drain(foreign.link)
+    seconds = 500 * 0.002
+    assert abs(len(foreign.heard["rc_command"]) / seconds - 200) <= 2
+
+
 def test_world_vectors_are_the_rotated_ones():
     from downbeat.control.bridge.compat import _to_world
 
