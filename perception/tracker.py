@@ -15,8 +15,9 @@ from downbeat.perception.matcher import MatchResult, MusicMatcher
 from downbeat.perception.source import Ring
 
 CHECK_S = 1.0
-HOLD_SIMILARITY = 0.30
-"""A second of the right place correlates by 0.5 to 0.95, of a wrong one by 0.1."""
+HOLD_SIMILARITY, SURE_SIMILARITY = 0.24, 0.30
+"""A second of the right place correlates by 0.5 to 0.95 (in noise by 0.3), of a wrong one by 0.1;
+what was in doubt must be surer."""
 HOLD_SHARE = 0.6
 """Or a fall to this share of what the lock has been used to."""
 REGAIN_SHARE = 0.75
@@ -156,8 +157,10 @@ class Tracker:
 
     def _check(self, ring: Ring, now: int, place: Place) -> TrackState:
         similarity, correction_s = self._compare(ring, now, place, CHECK_S)
-        share = REGAIN_SHARE if self._bad_hops else HOLD_SHARE
-        if similarity >= max(HOLD_SIMILARITY, share * self._usual):
+        floor, share = HOLD_SIMILARITY, HOLD_SHARE
+        if self._bad_hops:
+            floor, share = SURE_SIMILARITY, REGAIN_SHARE
+        if similarity >= max(floor, share * self._usual):
             elapsed_s = (now - self._last_good_utime) * 1e-6
             self._bad_hops = 0
             self._last_good_utime = now
@@ -169,10 +172,19 @@ class Tracker:
         if found is not None:
             return found
         if self._bad_hops >= DROP_AFTER_HOPS:
-            if similarity < HOLD_SIMILARITY:
+            if similarity >= SURE_SIMILARITY:
+                self._usual = similarity  # quieter or noisier than before, but still this place
+            elif now - self._last_good_utime > self._coast_us():
                 return TrackState(similarity=similarity)
-            self._usual = similarity  # quieter or noisier than before, but still this place
         return TrackState(Lock.CANDIDATE, place, similarity)
+
+    def _coast_us(self) -> int:
+        """Return how long a lock outlives its last good check: somebody talks, applause, a break.
+
+        The search for what else it may be goes on meanwhile. A lock that did not hold for long is
+        not believed for long.
+        """
+        return min(self._last_good_utime - self._locked_since_utime, COAST_US)
 
     def _compare(self, ring: Ring, now: int, place: Place, seconds: float) -> tuple[float, float]:
         """Return (similarity, correction [s]) of the newest sound against a place."""

@@ -57,8 +57,8 @@ def robot_microphone(babble: F32) -> Condition:
     """
 
     def apply(samples: F32, sample_rate_hz: int, rng: np.random.Generator) -> F32:
-        room = _room(REVERB_RT60_S, sample_rate_hz, rng)
-        sound = fftconvolve(samples, room)[: len(samples)].astype(np.float32)
+        response = room(REVERB_RT60_S, sample_rate_hz, rng)
+        sound = fftconvolve(samples, response)[: len(samples)].astype(np.float32)
         voices = np.resize(np.roll(babble, -int(rng.integers(len(babble)))), len(sound))
         sound = add_noise(sound, voices, BABBLE_SNR_DB, sample_rate_hz)
         sound = add_noise(sound, pink_noise(len(sound), rng), PINK_SNR_DB, sample_rate_hz)
@@ -86,13 +86,15 @@ def pink_noise(count: int, rng: np.random.Generator) -> F32:
     return np.fft.irfft(spectrum, count).astype(np.float32)
 
 
-def _room(rt60_s: float, sample_rate_hz: int, rng: np.random.Generator) -> F32:
-    """Return a synthetic impulse response; direct and diffuse sound are equally loud."""
+def room(
+    rt60_s: float, sample_rate_hz: int, rng: np.random.Generator, direct_db: float = 0.0
+) -> F32:
+    """Return a synthetic impulse response; `direct_db`: direct over diffuse sound."""
     count = round(1.2 * rt60_s * sample_rate_hz)
     decay = np.exp(-6.908 * np.arange(count) / sample_rate_hz / rt60_s)
     tail = rng.standard_normal(count) * decay
     tail[: round(0.002 * sample_rate_hz)] = 0.0
-    tail /= np.sqrt((tail**2).sum())
+    tail *= 10.0 ** (-direct_db / 20.0) / np.sqrt((tail**2).sum())
     tail[0] = 1.0
     return tail.astype(np.float32)
 

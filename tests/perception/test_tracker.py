@@ -91,8 +91,32 @@ def test_short_pause_keeps_the_lock_and_a_long_one_loses_it(matcher, music):
 def test_music_that_stops_being_itself_loses_the_lock(matcher, music):
     sound = np.concatenate([cut(music["piece0"], 0.0, 6.0), make_music(7, 6.0)])
     rows = listen(matcher, sound)
+    doubted = next(t for t, s in rows if t > 6.0 and s.lock != Lock.LOCKED)
     lost = next(t for t, s in rows if t > 6.0 and s.lock == Lock.LOST)
-    assert lost - 6.0 <= 1.5
+    assert doubted - 6.0 <= 0.75
+    assert lost - 6.0 <= 4.0
+    assert all(s.lock != Lock.LOCKED for t, s in rows if t > doubted)
+
+
+def test_a_lock_that_was_short_is_not_believed_for_long(matcher, music):
+    sound = np.concatenate([cut(music["piece0"], 0.0, 2.5), make_music(8, 6.0)])
+    rows = listen(matcher, sound)
+    lost = next(t for t, s in rows if t > 2.5 and s.lock == Lock.LOST)
+    assert lost - 2.5 <= 2.0
+
+
+def test_somebody_who_talks_over_the_music_does_not_cost_the_place(matcher, music):
+    sound = cut(music["piece0"], 0.0, 12.0)
+    voice = np.random.default_rng(3).standard_normal(round(2.0 * RATE)).astype(np.float32)
+    sound[round(6.0 * RATE) : round(8.0 * RATE)] += voice
+    rows = listen(matcher, sound)
+    after_s = {t: s for t, s in rows if t > 4.0}
+    assert all(s.place is not None and s.track == "piece0" for s in after_s.values())
+    regained = next(t for t, s in after_s.items() if t >= 8.0 and s.lock == Lock.LOCKED)
+    assert regained - 8.0 <= 1.25
+    for time_s, state in after_s.items():
+        if time_s > regained:
+            assert position_s(time_s, state) == pytest.approx(time_s, abs=0.05)
 
 
 @pytest.fixture(scope="module")

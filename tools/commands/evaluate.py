@@ -101,11 +101,55 @@ class Speech:
 
 
 @dataclass(frozen=True)
+class Chunks:
+    """Recognise single windows of a folder of recordings, degraded in many ways, and strangers."""
+
+    tracks: Path
+    """Folder of audio files (wav, flac, ogg, mp3)."""
+    speech: Path | None = None
+    """Folder of voices: babble, the robot's microphone, and sound that must be refused."""
+    other: Path | None = None
+    """Folder of other sounds that must be refused."""
+    groups: Path | None = None
+    """Tab-separated file (track, group): same composer or sample bank, counted as a class."""
+    per_shift: int = 6
+    """Clean chunks per track and shift."""
+    per_condition: int = 6
+    """Chunks per track and condition."""
+    seed: int = 7
+    """Of all noise."""
+    only: tuple[str, ...] = ()
+    """These conditions only."""
+    paper: bool = False
+    """The paper's experiment instead: the policy of each chunk's section, at least 574 chunks."""
+    clips: int = 0
+    """Let the listener hear so many clips of 10 s per track, too."""
+    foreign_minutes: float = 0.0
+    """And so many minutes of foreign music, and of speech and noise."""
+    json: bool = False
+    """Print the report as one JSON object on standard output; shares are 0..1."""
+
+    def run(self) -> int:
+        """Run it; 0."""
+        from downbeat.tools.eval_chunks import ChunkOptions, eval_chunks
+
+        return eval_chunks(
+            ChunkOptions(
+                self.tracks, self.speech, self.other, self.groups,
+                self.per_shift, self.per_condition, self.seed, self.only,
+                self.paper, self.clips, 60.0 * self.foreign_minutes,
+            ),
+            self.json,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Eval:
-    """Evaluate: `mashup` (M20, M30 of the paper), `beat` (phase against the music), `speech`."""
+    """Evaluate: `mashup` (M20, M30 of the paper), `chunks` (single windows), `beat`, `speech`."""
 
     what: (
         Annotated[Mashup, tyro.conf.subcommand("mashup")]
+        | Annotated[Chunks, tyro.conf.subcommand("chunks")]
         | Annotated[Beat, tyro.conf.subcommand("beat")]
         | Annotated[Speech, tyro.conf.subcommand("speech")]
     )

@@ -1,0 +1,160 @@
+"""What the chunk study found: the contract of `--json`, and tables for people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from downbeat.tools.chunks_paper import PAPER_ACCURACY, PaperScore
+from downbeat.tools.chunks_score import ConditionScore, FalseAccepts
+from downbeat.tools.chunks_stream import StreamScore
+
+SHORT_S = 3.0
+SHORT = f", {SHORT_S:g} s"
+"""The same query, its first part only."""
+MUSIC, KIN, RECOMBINED, NO_MUSIC, SILENT = (
+    "music not in the catalogue",
+    "by the composer of a catalogue track",
+    "such music shuffled or backwards",
+    "speech, animals, tones, noise",
+    "silence",
+)
+"""Classes of what must be refused; KIN is a part of MUSIC, and a class of its own."""
+
+
+@dataclass
+class ChunkReport:
+    """Everything that was measured."""
+
+    conditions: dict[str, ConditionScore] = field(default_factory=dict)
+    refused: dict[str, FalseAccepts] = field(default_factory=dict)
+    query_ms: list[float] = field(default_factory=list)
+    catalogue: int = 0
+    minutes: float = 0.0
+    index_s: float = 0.0
+    index_bytes: int = 0
+    paper: dict[str, PaperScore] = field(default_factory=dict)
+    streams: dict[str, StreamScore] = field(default_factory=dict)
+    false_locks: dict[str, tuple[float, list[str]]] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the contract of `--json`; shares are 0..1."""
+        clean = self.conditions.get("clean", ConditionScore())
+        total, correct = clean.n, clean.accepted
+        if paper := self.paper.get("clean"):
+            total, correct = paper.total, paper.correct
+        counted = FalseAccepts()
+        for name in (MUSIC, RECOMBINED, NO_MUSIC, SILENT):
+            part = self.refused.get(name, FalseAccepts())
+            counted.n += part.n
+            counted.accepted += part.accepted
+            counted.names += part.names
+        return {
+            "chunks": {"total": total, "correct": correct},
+            "conditions": {name: score.shares() for name, score in self.conditions.items()},
+            "false_accepts": counted.shares(),
+            "false_accepts_by_class": {n: p.shares() for n, p in self.refused.items()},
+            "query_ms": self._quantiles(),
+            "paper": {name: score.shares() for name, score in self.paper.items()},
+            "listener": {name: score.shares() for name, score in self.streams.items()},
+            "false_locks": {
+                name: {"minutes": round(seconds / 60.0, 1), "locks": len(locks), "which": locks}
+                for name, (seconds, locks) in self.false_locks.items()
+            },
+            "catalogue": {
+                "tracks": self.catalogue,
+                "minutes": round(self.minutes, 2),
+                "index_s": round(self.index_s, 2),
+                "times_real_time": round(self.minutes * 60.0 / max(self.index_s, 1e-9)),
+                "kib_per_minute": round(self.index_bytes / 1024.0 / max(self.minutes, 1e-9), 1),
+            },
+        }
+
+    def _quantiles(self) -> dict[str, float]:
+        values = self.query_ms or [float("nan")]
+        return {f"p{q}": round(float(np.percentile(values, q)), 2) for q in (50, 99)}
+
+
+def print_report(report: ChunkReport) -> None:
+    """Print tables, and examples of what went wrong."""
+    console = Console()
+    contract = report.as_json()
+    _print_paper(console, report)
+    if report.conditions:
+        _print_windows(console, report)
+    _print_streams(console, report)
+    errors = [e for score in report.conditions.values() for e in score.error_ms]
+    catalogue = contract["catalogue"]
+    console.print(
+        f"{catalogue['tracks']} tracks, {catalogue['minutes']:g} min, index "
+        f"{catalogue['times_real_time']} x real time, {catalogue['kib_per_minute']:g} KiB/min; "
+        f"query p50 {contract['query_ms']['p50']:g} ms, p99 {contract['query_ms']['p99']:g} ms; "
+        f"place p50 {np.percentile(errors or [0.0], 50):.1f} ms, "
+        f"p99 {np.percentile(errors or [0.0], 99):.1f} ms",
+        highlight=False,
+    )
+    for name, score in report.conditions.items():
+        if score.missed and not name.endswith(SHORT):
+            some = "; ".join(score.missed[:4])
+            console.print(f"missed, {name}: {some}", highlight=False, soft_wrap=True)
+    for part in report.refused.values():
+        for line in part.names[:5]:
+            console.print(f"accepted: {line}", highlight=False)
+
+
+def _print_windows(console: Console, report: ChunkReport) -> None:
+    table = Table(
+        "condition", "n", "track", "and place", "accepted", "wrong", "repeat", f"{SHORT_S:g} s",
+        title="[%]",
+    )  # fmt: skip
+    for name, score in report.conditions.items():
+        if name.endswith(SHORT):
+            continue
+        cells = score.shares()
+        shares = [f"{100.0 * cells[key]:.1f}" for key in ("top1", "right", "accepted", "wrong")]
+        short = report.conditions[name + SHORT].shares()["accepted"]
+        repeats = f"{100.0 * cells['elsewhere']:.1f}"
+        table.add_row(name, str(score.n), *shares, repeats, f"{100.0 * short:.1f}")
+    console.print(table)
+    table = Table("must be refused", "n", "accepted", "%", "upper 95 %")
+    for name, part in report.refused.items():
+        rate = f"{100.0 * part.accepted / max(part.n, 1):.2f}"
+        table.add_row(name, str(part.n), str(part.accepted), rate, f"{100.0 * part.upper95:.2f}")
+    console.print(table)
+
+
+def _print_paper(console: Console, report: ChunkReport) -> None:
+    for name, score in report.paper.items():
+        shares = score.shares()
+        console.print(
+            f"{name}: policy right in {score.correct} of {score.total} chunks "
+            f"({100.0 * score.correct / max(score.total, 1):.1f} %; the paper has "
+            f"{100.0 * PAPER_ACCURACY:.1f} %); {score.straddling} chunks over a boundary: "
+            f"{100.0 * float(shares['straddling_by_start']):.1f} % by their start, "
+            f"{100.0 * float(shares['straddling_by_end']):.1f} % by their end",
+            highlight=False,
+            soft_wrap=True,
+        )
+        if score.wrong:
+            some = "; ".join(score.wrong[:5])
+            console.print(f"wrong, {name}: {some}", highlight=False, soft_wrap=True)
+
+
+def _print_streams(console: Console, report: ChunkReport) -> None:
+    for name, score in report.streams.items():
+        shares = score.shares()
+        lock = shares["first_lock_s"]
+        console.print(
+            f"listener, {name}, clips of 10 s: right at the end {100.0 * shares['right']:.1f} % of "
+            f"{score.n}, wrong {100.0 * shares['wrong']:.1f} %; first lock p50 {lock['p50']:g} s, "
+            f"p95 {lock['p95']:g} s",
+            highlight=False,
+            soft_wrap=True,
+        )
+    for name, (seconds, locks) in report.false_locks.items():
+        said = f"false locks in {seconds / 60.0:.0f} min of {name}: {len(locks)}"
+        console.print("; ".join([said, *locks[:5]]), highlight=False, soft_wrap=True)

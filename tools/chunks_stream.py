@@ -1,0 +1,134 @@
+"""The listener itself on short clips and on hours of foreign sound: locks, and false ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from downbeat.lcm_types import music_match_t
+from downbeat.perception.features import F32
+from downbeat.perception.matcher import AlignmentMatcher, MatchResult
+from downbeat.perception.source import Recording
+from downbeat.tools.chunks_make import Query
+from downbeat.tools.chunks_score import ConditionScore
+from downbeat.tools.conditions import Degradation, pink, reverb, speed
+from downbeat.tools.matcher_cuts import Heard, listen
+
+CLIP_S = 10.0
+PART_S = (4.0, 12.0)
+"""A foreign stream is made of parts of this length."""
+LEVEL = 0.1
+"""RMS of each part."""
+
+Judge = Callable[[Query, MatchResult, ConditionScore], bool]
+
+
+@dataclass
+class StreamScore:
+    """What the listener made of clips.
+
+    Attributes:
+        n: Clips.
+        right: Locked on the right track at the right place when the clip ends.
+        wrong: Locked elsewhere then.
+        lock_s: From the start of a clip to the first lock on its track [s]; inf: none.
+    """
+
+    n: int = 0
+    right: int = 0
+    wrong: int = 0
+    lock_s: list[float] = field(default_factory=list)
+
+    def shares(self) -> dict[str, Any]:
+        """Return shares, and quantiles of the time to the first lock."""
+        p50, p95 = np.percentile(self.lock_s or [np.nan], (50, 95))
+        count = max(self.n, 1)
+        return {
+            "n": self.n,
+            "right": round(self.right / count, 4),
+            "wrong": round(self.wrong / count, 4),
+            "first_lock_s": {"p50": round(float(p50), 2), "p95": round(float(p95), 2)},
+        }
+
+
+def clips(
+    recording: Recording, degradation: Degradation, count: int, seed: int
+) -> Iterator[tuple[float, Recording]]:
+    """Cut clips anywhere in a track, (start [s], clip)."""
+    room_s = recording.duration_s - CLIP_S
+    rng = np.random.default_rng([seed, len(recording.samples)])
+    for _ in range(count if room_s > 0.0 else 0):
+        rate = recording.sample_rate_hz
+        first = round(float(rng.uniform(0.0, room_s)) * rate)
+        part = recording.samples[first : first + round(CLIP_S * rate)]
+        heard = degradation.apply(part, rate, rng)
+        yield first / rate, Recording(recording.name, heard, rate)
+
+
+def hear_clip(
+    matcher: AlignmentMatcher, start_s: float, clip: Recording, judge: Judge, score: StreamScore
+) -> None:
+    """Let the listener hear a clip from a cold start and count what it says at the end."""
+    heard, _spent_s = listen(matcher, clip)
+    locked = [h for h in heard if h.lock == music_match_t.LOCKED]
+    first = next((h.time_s for h in locked if h.track == clip.name), float("inf"))
+    score.n += 1
+    score.lock_s.append(first)
+    if not heard or heard[-1].lock != music_match_t.LOCKED:
+        return
+    is_right = judge_end(heard[-1], start_s, clip, judge)
+    score.right += is_right
+    score.wrong += not is_right
+
+
+def judge_end(last: Heard, start_s: float, clip: Recording, judge: Judge) -> bool:
+    """Say whether the lock at the end of a clip stands where the music stood, 5 s before."""
+    back_s = 5.0
+    at_s = last.time_s - back_s
+    query = Query("", clip.name, start_s + at_s, 0.0, clip.samples, False)
+    place = MatchResult(track=last.track, tau_s=at_s - last.track_zero_s, accepted=True)
+    return judge(query, place, ConditionScore())
+
+
+def foreign_stream(sounds: Sequence[Recording], seconds: float, seed: int) -> Recording:
+    """Return parts of sounds in any order, each faster or slower, in noise or in a room.
+
+    Args:
+        sounds: All at one rate.
+        seconds: Length of the result.
+        seed: Of everything drawn.
+    """
+    rng = np.random.default_rng(seed)
+    rate = sounds[0].sample_rate_hz
+    parts: list[F32] = []
+    left = round(seconds * rate)
+    while left > 0:
+        sound = sounds[int(rng.integers(len(sounds)))].samples
+        count = min(round(float(rng.uniform(*PART_S)) * rate), len(sound))
+        first = int(rng.integers(len(sound) - count + 1))
+        part = speed(float(rng.uniform(0.85, 1.2)))(sound[first : first + count], rate, rng)
+        what = int(rng.integers(3))
+        if what == 1:
+            part = pink(float(rng.uniform(5.0, 20.0)))(part, rate, rng)
+        elif what == 2:
+            part = reverb(float(rng.uniform(0.2, 1.0)), 0.0)(part, rate, rng)
+        part = part * np.float32(LEVEL / max(float(np.sqrt(np.mean(part**2))), 1e-4))
+        parts.append(part[:left])
+        left -= len(parts[-1])
+    return Recording("foreign", np.concatenate(parts), rate)
+
+
+def count_locks(matcher: AlignmentMatcher, sound: Recording) -> list[str]:
+    """Return every lock that the listener takes on a recording, as text."""
+    heard, _spent_s = listen(matcher, sound)
+    locks = []
+    before = ""
+    for hop in heard:
+        now = hop.track if hop.lock == music_match_t.LOCKED else ""
+        if now not in ("", before):
+            locks.append(f"{sound.name} at {hop.time_s:.1f} s taken for {now}")
+        before = now
+    return locks
