@@ -16,12 +16,14 @@ from downbeat.catalog.tracks import Track, load_tracks
 from downbeat.perception.beats import GRID_FORMAT, estimate_grid
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import FORMAT, Index
+from downbeat.perception.matcher import AlignmentMatcher
 from downbeat.perception.source import Recording, audio_files, load_recording
 from downbeat.perception.timeline import tempo_octave
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.rundir import CACHE_DIR
 
 INDEX_NAME = "index.npz"
+DUPLICATE_S, DUPLICATE_SIMILARITY = 6.0, 0.6
 
 Say = Callable[[str], None]
 
@@ -165,6 +167,29 @@ def write_track(path: Path, track: Track) -> None:
 def _text(value: str) -> str:
     """Return a TOML string; JSON escapes are a subset of TOML's."""
     return json.dumps(value, ensure_ascii=False)
+
+
+def duplicates(recordings: Mapping[str, Recording]) -> list[tuple[str, str]]:
+    """Return pairs of names that hold the same recording, however encoded or cut.
+
+    A window out of the middle of each is asked of an index of the others.
+    """
+    index = Index()
+    for name, recording in recordings.items():
+        index.add(name, recording.samples, recording.sample_rate_hz)
+    pairs: set[tuple[str, str]] = set()
+    for number, (name, recording) in enumerate(recordings.items()):
+        rest = [i for i in range(len(index.names)) if i != number]
+        if not rest:
+            break
+        matcher = AlignmentMatcher(index.subset(rest))
+        rate, seconds = recording.sample_rate_hz, min(DUPLICATE_S, recording.duration_s)
+        for share in (0.3, 0.7):
+            first = round(share * (recording.duration_s - seconds) * rate)
+            result = matcher.query(recording.samples[first : first + round(seconds * rate)], rate)
+            if result.accepted and result.similarity > DUPLICATE_SIMILARITY:
+                pairs.add((min(name, result.track), max(name, result.track)))
+    return sorted(pairs)
 
 
 def build_index(recordings: Mapping[str, Recording], path: Path) -> None:

@@ -29,22 +29,24 @@ class Build:
 
 @dataclass(frozen=True)
 class Match:
-    """Ask the catalogue what a recording is and where in the track it stands."""
+    """Ask a catalogue what a recording is and where in the track it stands."""
 
+    index: tyro.conf.Positional[Path]
+    """Folder made by `downbeat catalog build`, or its index.npz."""
     audio: tyro.conf.Positional[Path]
     """Recording."""
-    catalog: Path = Path("my_catalog")
-    """Folder made by `downbeat catalog build`."""
     at: float = 0.0
     """Start of the window in the recording [s]."""
     seconds: float = 5.0
-    """Length of the window [s]."""
+    """Length of the window [s]; a shorter recording is taken whole."""
+    json: bool = False
+    """Print track, tau_s, confidence, votes, rate, accepted and more as one JSON object."""
 
     def run(self) -> int:
         """Match; 0 if accepted."""
         from downbeat.tools.catalog_tools import match
 
-        return match(self.audio, self.catalog, self.at, self.seconds)
+        return match(self.index, self.audio, self.at, self.seconds, self.json)
 
 
 @dataclass(frozen=True)

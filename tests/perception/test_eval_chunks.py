@@ -1,0 +1,153 @@
+"""The chunk study on synthetic music: its truth is known, so its counting can be checked."""
+
+import json
+
+import numpy as np
+import pytest
+import soundfile
+from scipy.signal import fftconvolve
+from synthetic_music import RATE, make_music
+
+from downbeat.perception import features as ft
+from downbeat.perception.matcher import MatchResult
+from downbeat.perception.source import Recording
+from downbeat.tools.catalog_tools import build, match
+from downbeat.tools.chunks_make import CHUNK_S, SHIFTS_S, Query, starts
+from downbeat.tools.chunks_paper import PaperScore, Sections
+from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
+from downbeat.tools.conditions import degradations
+from downbeat.tools.errors import ToolError
+from downbeat.tools.eval_chunks import ChunkOptions, ChunkStudy
+from downbeat.tools.matcher_sounds import make_babble
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Three tracks of 24 s and a voice."""
+    out = tmp_path_factory.mktemp("chunks")
+    for name in ("music", "speech"):
+        (out / name).mkdir()
+    for seed in range(3):
+        soundfile.write(out / "music" / f"piece{seed}.wav", make_music(seed, 24.0), RATE)
+    voice = 0.1 * np.random.default_rng(1).standard_normal(8 * RATE)
+    soundfile.write(out / "speech" / "voice.wav", voice, RATE)
+    return out
+
+
+@pytest.mark.parametrize(
+    "name", [d.name for d in degradations(np.ones(10, np.float32)) if d.time_factor == 1.0]
+)
+def test_what_keeps_the_time_of_the_music_keeps_it_to_the_millisecond(name):
+    """The pitch may be off by a piece of the overlap-add, and a room answers late."""
+    music = make_music(5, 6.0)
+    voice = np.random.default_rng(2).standard_normal(RATE).astype(np.float32)
+    babble = make_babble([voice], 5.0, RATE)
+    (condition,) = [d for d in degradations(babble) if d.name == name]
+    heard = condition.apply(music, RATE, np.random.default_rng(3))
+    assert heard.dtype == np.float32 and len(heard) == len(music)
+    if name.startswith("pitch"):
+        envelope = [
+            np.abs(x[: len(x) // 500 * 500]).reshape(-1, 500).mean(1) for x in (music, heard)
+        ]
+        one, other = (e - e.mean() for e in envelope)
+        lag = int(fftconvolve(other, one[::-1]).argmax()) - len(one) + 1
+        assert abs(lag * 500 / RATE) <= 0.03
+        return
+    lag = int(fftconvolve(heard, music[::-1]).argmax()) - len(music) + 1
+    assert abs(lag / RATE) <= (0.03 if name == "robot" else 0.002)
+
+
+@pytest.mark.parametrize("percent", (-4, 4))
+def test_time_factors_are_what_they_say(percent):
+    music = make_music(5, 6.0)
+    for condition in degradations(None):
+        if condition.name in (f"tempo{percent:+d}%", f"speed{percent:+d}%"):
+            heard = condition.apply(music, RATE, np.random.default_rng(0))
+            assert len(heard) * condition.time_factor == pytest.approx(len(music), rel=1e-3)
+
+
+def test_chunks_lie_inside_the_track_at_the_five_shifts():
+    for shift_s in SHIFTS_S:
+        found = starts(23.0, 100, shift_s)
+        assert all(s >= 0.0 and s + CHUNK_S <= 23.0 and (s - shift_s) % 5.0 == 0.0 for s in found)
+    assert len(starts(23.0, 100, 0.0)) == 4
+    assert len(starts(600.0, 6, 0.5)) == 6
+
+
+def test_every_clean_chunk_of_known_music_is_found_and_no_stranger(folder):
+    options = ChunkOptions(folder / "music", folder / "speech", only=("clean", "white10", "robot"))
+    report = ChunkStudy(options).run(is_quiet=True)
+    contract = json.loads(json.dumps(report.as_json()))
+    assert contract["chunks"]["total"] == contract["chunks"]["correct"] == 3 * 5 * 4
+    assert contract["conditions"]["white10"]["accepted"] == 1.0
+    assert contract["false_accepts"]["rate"] == 0.0
+    assert 0.0 < contract["false_accepts"]["upper95"] < 0.03
+    assert contract["query_ms"]["p50"] <= contract["query_ms"]["p99"]
+
+
+def test_a_wrong_place_is_wrong_and_a_verbatim_repeat_is_counted_apart():
+    verse = make_music(8, 6.0)
+    bridge = make_music(9, 6.0)
+    places = Places({"song": ft.to_matcher_rate(np.concatenate([verse, bridge, verse]), RATE)})
+    query = Query("clean", "song", 0.5, 0.0, verse, False)
+    score = ConditionScore()
+    assert places.judge(query, MatchResult("song", 0.55, accepted=True), score)
+    assert places.judge(query, MatchResult("song", 12.5, accepted=True), score)
+    assert not places.judge(query, MatchResult("song", 6.5, accepted=True), score)
+    assert not places.judge(query, MatchResult("other", 0.5, accepted=True), score)
+    assert (score.n, score.top1, score.right, score.elsewhere) == (4, 3, 2, 1)
+    assert (score.accepted, score.wrong) == (2, 2)
+
+
+def test_the_bound_on_false_accepts_is_that_of_the_binomial():
+    part = FalseAccepts(n=300)
+    assert part.upper95 == pytest.approx(1.0 - 0.05 ** (1 / 300))
+    part.accepted = 300
+    assert part.upper95 == 1.0
+
+
+def test_policies_are_judged_by_section_and_chunks_over_a_boundary_apart():
+    sections, score = Sections(["a", "b"]), PaperScore()
+    nothing = np.zeros(1, np.float32)
+
+    def ask(at_s, found_s, accepted=True, track="a"):
+        result = MatchResult(track, found_s, accepted=accepted)
+        score.add(Query("clean", "a", at_s, 0.0, nothing, False), result, sections)
+
+    ask(5.0, 5.0)
+    ask(5.0, 25.0)  # another section
+    ask(5.0, 5.0, accepted=False)
+    ask(5.0, 5.0, track="b")
+    assert (score.total, score.correct) == (4, 1)
+    ask(17.0, 17.0)
+    ask(17.0, 1.0)
+    assert (score.straddling, score.by_start, score.by_end) == (2, 2, 1)
+
+
+def test_an_unknown_condition_and_a_bad_group_file_are_named(folder, tmp_path):
+    with pytest.raises(ToolError, match="'fog' does not exist; valid are clean"):
+        ChunkStudy(ChunkOptions(folder / "music", only=("fog",)))
+    groups = tmp_path / "groups.tsv"
+    groups.write_text("a\tb\nc\n", encoding="utf-8")
+    with pytest.raises(ToolError, match=r"groups.tsv:2 has 1 columns"):
+        ChunkStudy(ChunkOptions(folder / "music", groups=groups))
+
+
+def test_a_catalogue_names_recordings_that_are_the_same_and_answers_in_json(
+    folder, tmp_path, capsys
+):
+    audio = tmp_path / "audio"
+    audio.mkdir()
+    for seed in range(2):
+        soundfile.write(audio / f"piece{seed}.wav", make_music(seed, 24.0), RATE)
+    copy = Recording("again", make_music(0, 24.0)[RATE:], RATE)
+    soundfile.write(audio / "again.ogg", copy.samples, RATE)
+    assert build(audio, tmp_path / "catalog", 0) == 0
+    said = capsys.readouterr().out
+    assert "'again' and 'piece0' hold the same recording" in said
+    assert "'piece1'" not in said
+    assert match(tmp_path / "catalog", audio / "piece1.wav", 6.0, 5.0, as_json=True) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["track"] == "piece1" and answer["accepted"] is True
+    assert answer["tau_s"] == pytest.approx(6.0, abs=0.02)
+    assert {"confidence", "votes", "rate"} <= set(answer)
