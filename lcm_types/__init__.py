@@ -14,6 +14,7 @@ from .g1_low_state_t import g1_low_state_t as g1_low_state_t
 from .header_t import header_t as header_t
 from .heartbeat_t import heartbeat_t as heartbeat_t
 from .imu_t import imu_t as imu_t
+from .music_beat_t import music_beat_t as music_beat_t
 from .music_match_t import music_match_t as music_match_t
 from .operator_command_t import operator_command_t as operator_command_t
 from .sim_truth_t import sim_truth_t as sim_truth_t

@@ -51,6 +51,7 @@ _TABLE = (
     ),
     Channel("AUDIO_SOURCE", t.audio_source_t, 0.0, ("listener", "source"), INF),
     Channel("AUDIO_CLASS", t.audio_class_t, 4.0, ("listener",), 2.0),
+    Channel("MUSIC_BEAT", t.music_beat_t, 4.0, ("listener",), 2.0),
     Channel("MUSIC_MATCH", t.music_match_t, 4.0, ("listener",), 2.0),
     Channel("TRANSCRIPT", t.transcript_t, 0.0, ("speech",), INF),
     Channel("SPEECH_INTENT", t.speech_intent_t, 0.0, ("speech",), INF),
