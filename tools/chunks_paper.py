@@ -7,9 +7,10 @@ apart, by the section in which it begins and by the one in which it ends.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from downbeat.catalog.tracks import Track
 from downbeat.perception.matcher import MatchResult
 from downbeat.perception.source import Recording
 from downbeat.tools.chunks_make import CHUNK_S, SHIFTS_S, Query, starts
@@ -22,6 +23,9 @@ SECTION_S = 20.0
 POLICIES = ("sway", "kpop", "disco", "robot", "salsa")
 NO_POLICY = ""
 
+Policy = Callable[[str, float], str]
+"""(track, position [s]) -> policy; none for no track or position."""
+
 
 @dataclass
 class PaperScore:
@@ -32,6 +36,8 @@ class PaperScore:
         correct: Accepted, and its policy is right.
         straddling: Chunks over a boundary.
         by_start, by_end: Of those, right by the section in which they begin, or end.
+        repeats: Chunks found where the identical recording has another policy: one window alone
+            cannot know which of the two plays. Not in `total`.
         wrong: Which were not.
     """
 
@@ -40,6 +46,7 @@ class PaperScore:
     straddling: int = 0
     by_start: int = 0
     by_end: int = 0
+    repeats: int = 0
     wrong: list[str] = field(default_factory=list)
 
     def shares(self) -> dict[str, float | list[str]]:
@@ -49,45 +56,68 @@ class PaperScore:
             "total": self.total,
             "correct": self.correct,
             "accuracy": round(self.correct / max(self.total, 1), 4),
+            "repeats": self.repeats,
+            "accuracy_with_repeats": round(self.correct / max(self.total + self.repeats, 1), 4),
             "straddling": self.straddling,
             "straddling_by_start": round(self.by_start / across, 4),
             "straddling_by_end": round(self.by_end / across, 4),
             "wrong": self.wrong[:20],
         }
 
-    def add(self, query: Query, result: MatchResult, score: Sections) -> None:
-        """Count one chunk."""
-        begin, end = query.start_s, query.start_s + CHUNK_S
+    def add(
+        self,
+        query: Query,
+        result: MatchResult,
+        policy: Policy,
+        is_repeat: Callable[[Query, MatchResult], bool],
+    ) -> None:
+        """Count one chunk.
+
+        Args:
+            query: The chunk.
+            result: What the matcher said.
+            policy: (track, position) -> policy.
+            is_repeat: Whether the place found holds the identical recording.
+        """
+        begin, end = query.start_s, query.start_s + CHUNK_S - 1e-6
         tau_s = result.tau_s if result.accepted else float("nan")
-        if score.number(begin) != score.number(end - 1e-6):
+        if policy(query.track, begin) != policy(query.track, end):
             self.straddling += 1
-            found = score.policy(result.track, tau_s), score.policy(result.track, tau_s + CHUNK_S)
-            self.by_start += found[0] == score.policy(query.track, begin)
-            self.by_end += found[1] == score.policy(query.track, end)
+            self.by_start += policy(result.track, tau_s) == policy(query.track, begin)
+            self.by_end += policy(result.track, tau_s + CHUNK_S) == policy(query.track, end)
             return
-        self.total += 1
         middle = CHUNK_S / 2
-        if score.policy(result.track, tau_s + middle) == score.policy(query.track, begin + middle):
+        if policy(result.track, tau_s + middle) == policy(query.track, begin + middle):
+            self.total += 1
             self.correct += 1
+        elif result.accepted and is_repeat(query, result):
+            self.repeats += 1
         else:
+            self.total += 1
             self.wrong.append(f"{query.track} at {begin:g} s: {result.track} {result.tau_s:.1f} s")
 
 
-class Sections:
-    """Which policy a track has at a position; neighbours differ, and so do tracks."""
+def policies_by_length(names: Sequence[str], section_s: float = SECTION_S) -> Policy:
+    """Return policies for tracks without rules: another one in every section and track."""
 
-    def __init__(self, names: list[str], section_s: float = SECTION_S) -> None:
-        self._names, self._section_s = names, section_s
-
-    def number(self, tau_s: float) -> int:
-        """Return the number of the section at a position."""
-        return int(max(tau_s, 0.0) // self._section_s)
-
-    def policy(self, track: str, tau_s: float) -> str:
-        """Return the policy there; none for no track or position."""
-        if track not in self._names or tau_s != tau_s:
+    def policy(track: str, tau_s: float) -> str:
+        if track not in names or tau_s != tau_s:
             return NO_POLICY
-        return POLICIES[(self._names.index(track) + self.number(tau_s)) % len(POLICIES)]
+        number = int(max(tau_s, 0.0) // section_s)
+        return POLICIES[(names.index(track) + number) % len(POLICIES)]
+
+    return policy
+
+
+def policies_by_rule(tracks: Mapping[str, Track]) -> Policy:
+    """Return the skills that the tracks' own timed rules ask for."""
+
+    def policy(track: str, tau_s: float) -> str:
+        if track not in tracks or tau_s != tau_s:
+            return NO_POLICY
+        return tracks[track].skill_at(tau_s)
+
+    return policy
 
 
 def paper_tracks(recordings: Mapping[str, Recording]) -> list[str]:

@@ -133,7 +133,8 @@ def _print_paper(console: Console, report: ChunkReport) -> None:
         console.print(
             f"{name}: policy right in {score.correct} of {score.total} chunks "
             f"({100.0 * score.correct / max(score.total, 1):.1f} %; the paper has "
-            f"{100.0 * PAPER_ACCURACY:.1f} %); {score.straddling} chunks over a boundary: "
+            f"{100.0 * PAPER_ACCURACY:.1f} %); at a verbatim "
+            f"repeat with another policy {score.repeats}; {score.straddling} over a boundary: "
             f"{100.0 * float(shares['straddling_by_start']):.1f} % by their start, "
             f"{100.0 * float(shares['straddling_by_end']):.1f} % by their end",
             highlight=False,

@@ -10,7 +10,7 @@ import csv
 import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 import soxr
 from rich.progress import track as progress
 
+from downbeat.catalog.tracks import BUNDLED_TRACKS, Track, load_tracks
 from downbeat.perception import features as ft
 from downbeat.perception.features import F32
 from downbeat.perception.index import Index
@@ -32,7 +33,12 @@ from downbeat.tools.chunks_make import (
     foreign_queries,
     recombined,
 )
-from downbeat.tools.chunks_paper import PaperScore, Sections, paper_tracks
+from downbeat.tools.chunks_paper import (
+    PaperScore,
+    paper_tracks,
+    policies_by_length,
+    policies_by_rule,
+)
 from downbeat.tools.chunks_report import (
     KIN,
     MUSIC,
@@ -52,12 +58,15 @@ from downbeat.tools.chunks_stream import (
     foreign_stream,
     hear_clip,
 )
+from downbeat.tools.composer.store import composed_recording
 from downbeat.tools.conditions import degradations
 from downbeat.tools.errors import ToolError
 from downbeat.tools.matcher_sounds import load_folder, make_babble, synthetic_sounds
+from downbeat.tools.rundir import CACHE_DIR
 
 RATE_HZ = 44_100
 """All sound is degraded at this rate."""
+COMPOSED = CACHE_DIR / "tracks"
 PAPER_CONDITIONS = ("clean", "robot")
 
 
@@ -66,7 +75,7 @@ class ChunkOptions:
     """What to evaluate.
 
     Attributes:
-        tracks: Folder of recordings.
+        tracks: Folder of recordings; None: the bundled pieces, with their own timed rules.
         speech: Folder of voices, for babble and as strangers.
         other: Folder of other sounds, strangers.
         groups: Tab-separated file (track, group): same composer or same sample bank.
@@ -79,7 +88,7 @@ class ChunkOptions:
         foreign_s: Foreign music, and as much speech and noise, for the listener [s].
     """
 
-    tracks: Path
+    tracks: Path | None = None
     speech: Path | None = None
     other: Path | None = None
     groups: Path | None = None
@@ -103,8 +112,14 @@ class ChunkStudy:
             PerceptionError: A folder without recordings.
         """
         self.options = options
+        self.rules: dict[str, Track] = {}
+        if options.tracks is None:
+            self.rules = load_tracks(BUNDLED_TRACKS)
+            pieces = {n: composed_recording(t.composition, COMPOSED) for n, t in self.rules.items()}
+        else:
+            pieces = load_folder(options.tracks)
         self.recordings = {
-            name: _at_rate(recording) for name, recording in load_folder(options.tracks).items()
+            name: replace(_at_rate(recording), name=name) for name, recording in pieces.items()
         }
         if len(self.recordings) < 2:
             raise ToolError(f"{options.tracks} holds one recording; the study needs two or more.")
@@ -200,16 +215,20 @@ class ChunkStudy:
 
     def _paper(self, is_quiet: bool) -> None:
         """Run the paper's experiment: its tracks alone are the catalogue."""
-        names = paper_tracks(self.recordings)
+        if self.rules:
+            names, policy = list(self.recordings), policies_by_rule(self.rules)
+        else:
+            names = paper_tracks(self.recordings)
+            policy = policies_by_length(names)
         matcher = AlignmentMatcher(self.index.subset([self.index.names.index(n) for n in names]))
-        sections = Sections(names)
         wanted = [d for d in self.degradations if d.name in PAPER_CONDITIONS]
         for name in progress(names, "paper", disable=is_quiet, transient=True):
             for degradation in wanted:
                 score = self.report.paper.setdefault(degradation.name, PaperScore())
                 for query in all_queries(self.recordings[name], degradation, self.options.seed):
                     is_timed = degradation.name == "clean"
-                    score.add(query, self._ask(matcher, query.samples, is_timed), sections)
+                    result = self._ask(matcher, query.samples, is_timed)
+                    score.add(query, result, policy, self.places.is_same_sound)
 
     def _streams(self, matcher: AlignmentMatcher, is_quiet: bool) -> None:
         """Let the listener hear clips, and what it must not lock on."""

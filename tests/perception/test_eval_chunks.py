@@ -13,7 +13,7 @@ from downbeat.perception.matcher import MatchResult
 from downbeat.perception.source import Recording
 from downbeat.tools.catalog_tools import build, match
 from downbeat.tools.chunks_make import CHUNK_S, SHIFTS_S, Query, starts
-from downbeat.tools.chunks_paper import PaperScore, Sections
+from downbeat.tools.chunks_paper import PaperScore, policies_by_length
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
 from downbeat.tools.conditions import degradations
 from downbeat.tools.errors import ToolError
@@ -107,18 +107,23 @@ def test_the_bound_on_false_accepts_is_that_of_the_binomial():
 
 
 def test_policies_are_judged_by_section_and_chunks_over_a_boundary_apart():
-    sections, score = Sections(["a", "b"]), PaperScore()
+    policy, score = policies_by_length(["a", "b"]), PaperScore()
     nothing = np.zeros(1, np.float32)
+
+    def is_repeat(_query, result):
+        return result.tau_s == 65.0
 
     def ask(at_s, found_s, accepted=True, track="a"):
         result = MatchResult(track, found_s, accepted=accepted)
-        score.add(Query("clean", "a", at_s, 0.0, nothing, False), result, sections)
+        score.add(Query("clean", "a", at_s, 0.0, nothing, False), result, policy, is_repeat)
 
     ask(5.0, 5.0)
     ask(5.0, 25.0)  # another section
     ask(5.0, 5.0, accepted=False)
     ask(5.0, 5.0, track="b")
-    assert (score.total, score.correct) == (4, 1)
+    assert (score.total, score.correct, score.repeats) == (4, 1, 0)
+    ask(5.0, 65.0)  # the identical passage, elsewhere
+    assert (score.total, score.correct, score.repeats) == (4, 1, 1)
     ask(17.0, 17.0)
     ask(17.0, 1.0)
     assert (score.straddling, score.by_start, score.by_end) == (2, 2, 1)

@@ -104,8 +104,8 @@ class Speech:
 class Chunks:
     """Recognise single windows of a folder of recordings, degraded in many ways, and strangers."""
 
-    tracks: Path
-    """Folder of audio files (wav, flac, ogg, mp3)."""
+    tracks: Path | None = None
+    """Folder of audio files (wav, flac, ogg, mp3); omitted: the bundled pieces."""
     speech: Path | None = None
     """Folder of voices: babble, the robot's microphone, and sound that must be refused."""
     other: Path | None = None
