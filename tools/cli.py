@@ -15,6 +15,7 @@ from downbeat.runtime.errors import DownbeatError
 from downbeat.tools.commands import (
     catalog,
     evaluate,
+    models,
     operate,
     policy,
     processes,
@@ -31,6 +32,7 @@ Command = (
     | Annotated[evaluate.Eval, sub("eval")]
     | Annotated[catalog.CatalogCommand, sub("catalog")]
     | Annotated[policy.Policy, sub("policy")]
+    | Annotated[models.Models, sub("models")]
     | Annotated[sweep.Sweep, sub("sweep")]
     | Annotated[sweep.Atlas, sub("atlas")]
     | Annotated[processes.Sim, sub("sim")]
