@@ -1,47 +1,35 @@
 """The conductor: track position and speech in, skill requests out, ahead of every known boundary.
 
 Speech comes first (`voice_desk`); the music has the body for the rest of the time, and takes it
-back on the moment at which it comes free, in phase.
+back on the moment at which it comes free, in phase. Music that the catalogue lacks is danced on the
+beat that is heard (`improviser`). At most one skill is asked for per decision.
 """
 
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
-from dataclasses import dataclass
-from typing import Any
 
 from downbeat.lcm_types import (
     audio_class_t,
+    music_beat_t,
     music_match_t,
     skill_request_t,
     skill_status_t,
     speech_intent_t,
     speech_t,
 )
+from downbeat.perception.conductor_config import ConductorConfig
+from downbeat.perception.improviser import Improviser
+from downbeat.perception.music_requests import MusicRequests
 from downbeat.perception.timeline import PhaseFit, Span, Timeline
-from downbeat.perception.voice_desk import HOLD_S, VoiceDesk, VoiceSkill, request_message
+from downbeat.perception.voice_desk import HOLD_S, VoiceDesk, VoiceSkill
 
-LOOK_AHEAD_US = 10_000_000
-"""Footwork may need a whole loop to find its exit; so the next section is asked for early."""
 MIN_SPAN_US = 1_500_000
 """A rest of a section shorter than this is not worth a switch of its own."""
 MOVED_US = 15_000
-RETIME_PERIOD_US = 500_000
-RETIME_PHASE_S = 0.005
-RETIME_RATE = 0.002
 SILENCE_US = 3_000_000
-EXPIRES_US = 10_000_000
 HAND_BACK_US = 4_000_000
 """The music asks so long before speech gives the body back."""
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """A request that was sent."""
-
-    request_id: int
-    span: Span
-    line: PhaseFit
 
 
 class Conductor:
@@ -53,6 +41,8 @@ class Conductor:
         skills: Mapping[str, VoiceSkill],
         allowed: Container[str] | None = None,
         hold_s: float = HOLD_S,
+        config: ConductorConfig | None = None,
+        improviser: Improviser | None = None,
     ) -> None:
         """Begin without any music.
 
@@ -61,39 +51,59 @@ class Conductor:
             skills: By name.
             allowed: Skills that speech may ask for; None: all.
             hold_s: How long a spoken command without a duration lasts [s].
+            config: Gates and habits.
+            improviser: Who dances to music that nobody knows; None: nobody.
         """
+        self._config = config or ConductorConfig()
+        self._improviser = improviser if self._config.unknown == "dance" else None
         self.voice = VoiceDesk(skills, self._new_id, allowed, hold_s)
+        self._asks = MusicRequests(skills, self._new_id)
         self._timeline = timeline
         self._skills = skills
         self._next_id = 1
         self._place: tuple[str, int] | None = None
-        self._current: Asked | None = None
-        self._ahead: Asked | None = None
-        self._is_standing = True
-        self._sounding_utime = 0
-        self._retimed_utime = 0
         self._is_lost = True
+        self._known_utime = 0
+        self._sounding_utime = 0
+        self._music_utime = 0
+        self._music_since_utime = 0
 
     # ------------------------------------------------------------------ inputs
 
     def hear(self, match: music_match_t) -> None:
-        """Take a MUSIC_MATCH: only a lock counts."""
-        if match.lock == music_match_t.LOCKED and match.rate > 0.0:
+        """Take a MUSIC_MATCH: only a lock that passes the gates counts."""
+        if match.method == music_match_t.EMBEDDING:
+            if self._improviser is not None:
+                self._improviser.resemble(match)
+        elif passes(match, self._config) and match.lock == music_match_t.LOCKED:
             self._place = (match.track, int(match.track_zero_utime))
             self._is_lost = False
+            self._known_utime = int(match.header.utime)
             self._timeline.lock(*self._place, int(match.header.utime))
         else:
             # A doubtful lock plans nothing: the old track's next section must not start.
             self._is_lost = True
 
+    def beat(self, msg: music_beat_t) -> None:
+        """Take a MUSIC_BEAT."""
+        if self._improviser is not None:
+            self._improviser.beat(msg)
+
     def sound(self, label: int, utime: int) -> None:
-        """Take an AUDIO_CLASS."""
-        if label != audio_class_t.SKIP:
+        """Take an AUDIO_CLASS; somebody who talks over a known track does not end it."""
+        if label == audio_class_t.MUSIC:
+            if utime - self._music_utime > SILENCE_US:
+                self._music_since_utime = utime
+                if self._improviser is not None:
+                    self._improviser.forget()
+            self._music_utime = utime
+        if label == audio_class_t.MUSIC or (label == audio_class_t.SPEECH and not self._is_lost):
             self._sounding_utime = utime
 
     def listen(self, msg: speech_intent_t, now: int) -> list[skill_request_t]:
         """Take a SPEECH_INTENT."""
-        playing = "" if self._current is None else self._current.span.skill
+        current = self._asks.current
+        playing = "" if current is None else current.span.skill
         asked = self.voice.hear(msg, now, lambda skill, at: self._line(skill, at), playing)
         return self._voiced(asked, now)
 
@@ -111,19 +121,20 @@ class Conductor:
         """What speech starts takes the place of what the music had planned."""
         out: list[skill_request_t] = []
         if any(msg.operation == skill_request_t.START for msg in asked):
-            self._drop_ahead(out, now, "somebody speaks")
-            self._current = None
-            self._is_standing = False
+            self._asks.drop_ahead(out, now, "somebody speaks")
+            self._asks.lose_body()
         return out + asked
 
     def _line(self, skill: str, utime: int) -> PhaseFit:
         """Return a skill's phase line in step with the music, from its start without any."""
         place = self._where(utime)
-        if place is None:
-            return PhaseFit(utime, 0.0, 1.0)
-        return self._timeline.phase(
-            Span(place[0], skill, utime, place[1]), self._skills[skill], utime
-        )
+        if place is not None:
+            span = Span(place[0], skill, utime, place[1])
+            return self._timeline.phase(span, self._skills[skill], utime)
+        heard = None
+        if self._improviser is not None:
+            heard = self._improviser.follow(skill, PhaseFit(utime, 0.0, 1.0), utime)
+        return heard or PhaseFit(utime, 0.0, 1.0)
 
     # ------------------------------------------------------------------ decisions
 
@@ -138,25 +149,27 @@ class Conductor:
         if self.voice.is_held or free is None or free > now:
             self._wait(out, now, free)
             return out
-        place = self._where(now)
-        self._promote(now)
+        asks, place = self._asks, self._where(now)
+        asks.promote(now)
         if place is None:
-            self._drop_ahead(out, now, "the lock is lost")
+            asks.drop_ahead(out, now, "the lock is lost")
+            self._improvise(out, now)
             return out
-        if self._current is None and self._ahead is not None:
+        if asks.current is None and asks.ahead is not None:
             return out  # speech has just given the body back, and what follows is on its way
         here, following = self._timeline.spans(*place, now)
-        self._ask_here(out, here, following, now)
-        self._ask_ahead(out, following, now)
+        if not self._ask_here(out, here, following, now):
+            self._ask_ahead(out, following, now)
         self._retime(out, now)
         return out
 
     def _wait(self, out: list[skill_request_t], now: int, free: int | None) -> None:
         """Speech has the body: stay in phase, and ask for it back on the moment it comes free."""
         self._in_step(out, now)
+        asks = self._asks
         place = None if free is None or self.voice.is_held else self._where(now)
         if place is None or free is None:
-            self._drop_ahead(out, now, "speech has the robot")
+            asks.drop_ahead(out, now, "speech has the robot")
             return
         if free - now > HAND_BACK_US:
             return
@@ -164,27 +177,24 @@ class Conductor:
         if following is not None and following.start_utime - free < MIN_SPAN_US:
             here = following
         at = max(free, here.start_utime)
-        if self._ahead is not None:
-            same = here.is_same(self._ahead.span)
-            if same and abs(max(self._ahead.line.utime, now) - at) < MOVED_US:
+        if asks.ahead is not None:
+            same = here.is_same(asks.ahead.span)
+            if same and abs(max(asks.ahead.line.utime, now) - at) < MOVED_US:
                 return
-            self._drop_ahead(out, now, "the body comes free at another time")
+            asks.drop_ahead(out, now, "the body comes free at another time")
         line = self._timeline.phase(here, self._skills[here.skill], at)
-        self._ahead = self._start(out, here, line, now, f"back to {here.track}")
+        asks.plan(out, here, line, now, f"back to {here.track}")
 
     def _in_step(self, out: list[skill_request_t], now: int) -> None:
         """Keep the dance that speech asked for in phase with the music."""
         claim, place = self.voice.claim, self._where(now)
         if claim is None or place is None or not claim.onset_utime:
             return
-        if now - self._retimed_utime < RETIME_PERIOD_US or self._skills[claim.skill].bpm <= 0.0:
+        if not self._asks.may_retime(now) or self._skills[claim.skill].bpm <= 0.0:
             return
-        self._retimed_utime = now
-        claim.line = line = self._line(claim.skill, now)
-        msg = self._message(now, skill_request_t.RETIME, claim.skill, "phase of the music")
+        claim.line = self._line(claim.skill, now)
+        msg = self._asks.retiming(claim.request_id, claim.skill, claim.line, now)
         msg.source = skill_request_t.SOURCE_SPEECH
-        msg.target_request_id = claim.request_id
-        msg.start_utime, msg.start_phase_s, msg.phase_rate = line.utime, line.phase_s, line.rate
         out.append(msg)
 
     def _where(self, now: int) -> tuple[str, int] | None:
@@ -194,115 +204,98 @@ class Conductor:
             return scheduled
         return None if self._is_lost else self._place
 
-    def _promote(self, now: int) -> None:
-        """What was asked ahead is current once its time has come."""
-        if self._ahead is not None and now >= self._ahead.line.utime:
-            self._current, self._ahead = self._ahead, None
-            self._is_standing = False
-
     def _ask_here(
         self, out: list[skill_request_t], here: Span, following: Span | None, now: int
-    ) -> None:
-        if self._current is not None and here.is_same(self._current.span):
-            return
-        if self._ahead is not None and here.is_same(self._ahead.span):
+    ) -> bool:
+        """Ask for what should be danced now, unless it is; returns whether it was asked for."""
+        asks = self._asks
+        if asks.current is not None and here.is_same(asks.current.span):
+            return False
+        if asks.ahead is not None and here.is_same(asks.ahead.span):
             # The lock moved the boundary by less than is worth a new request: it begins now.
-            self._current, self._ahead = self._ahead, None
-            self._is_standing = False
-            return
+            asks.advance()
+            return False
         if following is not None and following.start_utime - now < MIN_SPAN_US:
-            return
-        moved_in_track = (
-            self._current is not None
-            and self._current.span.skill == here.skill
-            and self._current.span.track == here.track
-        )
-        if moved_in_track and self._current is not None:
-            # Same skill of the same track at another place: only the phase line changes.
-            self._current = Asked(self._current.request_id, here, self._current.line)
-            return
-        self._drop_ahead(out, now, "another track plays")
+            return False
+        if asks.current is not None and (asks.current.span.skill, asks.current.span.track) == (
+            here.skill,
+            here.track,
+        ):
+            asks.moved(here)
+            return False
+        if asks.is_cooling(here.skill, now, round(self._config.cool_down_s * 1e6)):
+            return False
+        asks.drop_ahead(out, now, "another track plays")
         line = self._timeline.phase(here, self._skills[here.skill], now)
-        self._current = self._start(out, here, line, now, f"{here.track} plays")
-        self._is_standing = False
+        asks.begin(out, here, line, now, f"{here.track} plays")
+        return True
+
+    def _improvise(self, out: list[skill_request_t], now: int) -> None:
+        """Dance to what nobody knows, on its beat."""
+        player, asks, config = self._improviser, self._asks, self._config
+        unknown_us = now - max(self._known_utime, self._music_since_utime)
+        if player is None or not self._music_utime or unknown_us < config.unknown_after_s * 1e6:
+            return
+        skill = player.skill(now)
+        if not skill:
+            return
+        current = asks.current
+        if current is None or current.span.skill != skill:
+            line = player.begin(skill, now)
+            if line is None or asks.is_cooling(skill, now, round(config.cool_down_s * 1e6)):
+                return
+            like = f", like {player.resembled}" if player.resembled else ""
+            asks.begin(out, Span("", skill, line.utime, 0), line, now, f"unknown music{like}")
+        elif now >= current.line.utime and asks.may_retime(now):
+            fit = player.follow(skill, current.line, now)
+            if fit is not None:
+                asks.retime(out, current.span, fit, now)
 
     def _ask_ahead(self, out: list[skill_request_t], following: Span | None, now: int) -> None:
-        if following is None or following.start_utime - now > LOOK_AHEAD_US:
-            self._drop_ahead(out, now, "no boundary is near")
+        asks = self._asks
+        look_ahead_us = round(self._config.look_ahead_s * 1e6)
+        if following is None or following.start_utime - now > look_ahead_us:
+            asks.drop_ahead(out, now, "no boundary is near")
             return
-        if self._ahead is not None:
-            same = following.is_same(self._ahead.span)
-            if same and abs(following.start_utime - self._ahead.span.start_utime) < MOVED_US:
+        if asks.ahead is not None:
+            same = following.is_same(asks.ahead.span)
+            if same and abs(following.start_utime - asks.ahead.span.start_utime) < MOVED_US:
                 return
-            self._drop_ahead(out, now, "the boundary moved")
+            asks.drop_ahead(out, now, "the boundary moved")
         line = self._timeline.phase(following, self._skills[following.skill], following.start_utime)
-        self._ahead = self._start(out, following, line, now, f"next section of {following.track}")
+        asks.plan(out, following, line, now, f"next section of {following.track}")
 
     def _retime(self, out: list[skill_request_t], now: int) -> None:
-        current = self._current
-        if current is None or now - self._retimed_utime < RETIME_PERIOD_US:
+        current, place = self._asks.current, self._where(now)
+        if current is None or place is None or not self._asks.may_retime(now):
             return
         skill = self._skills[current.span.skill]
-        place = self._where(now)
-        if skill.bpm <= 0.0 or place is None or place[0] != current.span.track:
+        if skill.bpm <= 0.0 or place[0] != current.span.track:
             return
         moved = place[1] - current.span.track_zero_utime
-        span = Span(
-            current.span.track,
-            current.span.skill,
-            current.span.start_utime + moved,
-            place[1],
-        )
-        fit = self._timeline.phase(span, skill, now)
-        old = current.line.phase_s + current.line.rate * (now - current.line.utime) * 1e-6
-        beat_s = 60.0 / skill.bpm
-        error_s = abs((fit.phase_s - old + 0.5 * beat_s) % beat_s - 0.5 * beat_s)
-        if error_s < RETIME_PHASE_S and abs(fit.rate - current.line.rate) < RETIME_RATE:
-            return
-        self._retimed_utime = now
-        self._current = Asked(current.request_id, span, fit)
-        msg = self._message(now, skill_request_t.RETIME, span.skill, "phase of the music")
-        msg.target_request_id = current.request_id
-        msg.start_utime, msg.start_phase_s, msg.phase_rate = fit.utime, fit.phase_s, fit.rate
-        out.append(msg)
+        start = current.span.start_utime + moved
+        span = Span(current.span.track, current.span.skill, start, place[1])
+        self._asks.retime(out, span, self._timeline.phase(span, skill, now), now)
 
     def _end(self, out: list[skill_request_t], now: int, is_ours: bool = True) -> None:
-        self._drop_ahead(out, now, "the music ended")
-        if self._is_standing or not is_ours or self.voice.is_held:
-            self._current = None if not is_ours else self._current
-            self._place = None if not is_ours else self._place
-            return
-        msg = self._message(now, skill_request_t.START, "stand", "the music ended")
-        msg.start_utime = now
-        out.append(msg)
-        self._is_standing = True
-        self._current = None
-        self._place = None
-
-    # ------------------------------------------------------------------ messages
-
-    def _drop_ahead(self, out: list[skill_request_t], now: int, why: str) -> None:
-        if self._ahead is None:
-            return
-        msg = self._message(now, skill_request_t.CANCEL, self._ahead.span.skill, why)
-        msg.target_request_id = self._ahead.request_id
-        out.append(msg)
-        self._ahead = None
-
-    def _start(
-        self, out: list[skill_request_t], span: Span, line: PhaseFit, now: int, why: str
-    ) -> Asked:
-        msg = self._message(now, skill_request_t.START, span.skill, why)
-        msg.start_utime = line.utime
-        msg.start_phase_s = line.phase_s
-        msg.phase_rate = line.rate
-        msg.expires_utime = line.utime + EXPIRES_US
-        out.append(msg)
-        return Asked(msg.request_id, span, line)
-
-    def _message(self, now: int, operation: int, skill: str, why: str) -> Any:
-        return request_message(now, self._new_id(), operation, skill, why)
+        asks = self._asks
+        asks.drop_ahead(out, now, "the music ended")
+        if not is_ours:
+            asks.current = None
+            self._place = None
+        elif not asks.is_standing and not self.voice.is_held:
+            asks.stand(out, now, "the music ended")
+            self._place = None
 
     def _new_id(self) -> int:
         self._next_id += 1
         return self._next_id - 1
+
+
+def passes(match: music_match_t, config: ConductorConfig) -> bool:
+    """Whether a match passes the acceptance gates."""
+    return bool(
+        match.rate > 0.0
+        and match.confidence >= config.min_confidence
+        and match.votes >= config.min_votes
+    )

@@ -25,7 +25,7 @@ class ConductorNode:
         self._conductor = conductor
         self._known = known_tracks
         self._finished = False
-        bus.subscribe("MUSIC_MATCH", "AUDIO_CLASS", "AUDIO_SOURCE")
+        bus.subscribe("MUSIC_MATCH", "MUSIC_BEAT", "AUDIO_CLASS", "AUDIO_SOURCE")
         bus.subscribe("SPEECH_INTENT", "SPEECH", "SKILL_STATUS")
 
     def step(self, utime: int) -> None:
@@ -35,6 +35,8 @@ class ConductorNode:
             self._finished = received.msg.state != audio_source_t.STARTED
         for received in self._bus.take("AUDIO_CLASS"):
             self._conductor.sound(received.msg.label, received.msg.header.utime)
+        for received in self._bus.take("MUSIC_BEAT"):
+            self._conductor.beat(received.msg)
         for received in self._bus.take("MUSIC_MATCH"):
             if received.msg.lock != music_match_t.LOCKED or received.msg.track in self._known:
                 self._conductor.hear(received.msg)

@@ -9,8 +9,9 @@ from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.setlist import SetEntry, SetList
 from downbeat.catalog.tracks import Rule, Track
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t, skill_request_t
-from downbeat.perception.conductor import RETIME_PERIOD_US, Conductor
+from downbeat.perception.conductor import Conductor
 from downbeat.perception.conductor_node import ConductorNode
+from downbeat.perception.music_requests import RETIME_PERIOD_US
 from downbeat.perception.timeline import Span, Timeline
 from downbeat.runtime.clock import SimClock
 from downbeat.runtime.memq import MemqHub
@@ -169,6 +170,7 @@ def test_node_hears_and_asks_over_the_bus():
     listener.publish("AUDIO_CLASS", class_message(START, True))
     listener.publish("MUSIC_MATCH", match_message(START, "even", music_match_t.LOCKED, START))
     node.step(START)
+    node.step(START + STEP_US)  # one skill per decision
     now_request, ahead = requests(control)
     assert (now_request.skill, now_request.start_utime) == ("a", START)
     assert (ahead.skill, ahead.start_utime) == ("b", START + 5_000_000)
