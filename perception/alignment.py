@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from downbeat.perception import features as ft
 from downbeat.perception.features import F32
-from downbeat.perception.index import PAD_FRAMES, QUANTUM
+from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, QUANTUM, Coarse, Fine, Power
+from downbeat.perception.index import coarse as coarse_of
 
 I64 = npt.NDArray[np.int64]
 FINE_S = ft.HOP_S / 2.0
 """40 ms: the grid of the reference."""
-FINE_PER_COARSE = 4
 RATES = (1.0, 0.99, 1.01, 0.98, 1.02, 0.97, 1.03, 0.96, 1.04, 0.95, 1.05)
 """Time stretch; 1 first, so that ties go to it."""
 BLOCK = 4096
@@ -52,16 +52,29 @@ class Fit:
 class CoarseScan:
     """All places of all tracks, ready to be compared with a query."""
 
-    def __init__(self, tracks: Sequence[F32]) -> None:
+    def __init__(self, tracks: Sequence[Coarse]) -> None:
         """Take the coarse features of each track, (n_i, 49)."""
         lengths = np.array([len(values) for values in tracks])
-        everything = np.concatenate(tracks).astype(np.float32)  # (n, 49)
+        joined = np.concatenate(tracks)  # (n, 49)
         self.starts: I64 = np.concatenate([[0], np.cumsum(lengths)[:-1]])
         self.track_of: I64 = np.repeat(np.arange(len(lengths)), lengths)  # (n,)
         self._ends = (self.starts + lengths)[self.track_of]  # (n,)
-        power = (everything.astype(np.float64) ** 2).sum(1)
-        self._energy = np.concatenate([[0.0], np.cumsum(power)])
-        self._transposed = np.ascontiguousarray(everything.T)  # (49, n)
+        self._transposed = np.ascontiguousarray(joined.T).astype(np.float32) / np.float32(QUANTUM)
+        power = np.einsum("ij,ij->j", self._transposed, self._transposed)  # (n,)
+        self._energy = np.concatenate([[0.0], np.cumsum(power, dtype=np.float64)])
+
+    def search(self, values: F32, count: int) -> tuple[I64, float]:
+        """Find the places most like a query.
+
+        Args:
+            values: (w, NUM_BANDS) features of the query.
+            count: Places wanted.
+
+        Returns:
+            At most `count` places, best first, and the chance spread of the scores.
+        """
+        scores, chance = self.scores(coarse_of(values))
+        return best_places(scores, count), chance
 
     def scores(self, query: F32) -> tuple[F32, float]:
         """Compare a query with every place.
@@ -95,14 +108,11 @@ class CoarseScan:
 class FineAligner:
     """Aligns a query with one track around a place."""
 
-    def __init__(self, fine: Sequence[npt.NDArray[np.int8]]) -> None:
-        """Take the fine features of each track, (n_i, NUM_BANDS)."""
+    def __init__(self, fine: Sequence[Fine], power: Sequence[Power]) -> None:
+        """Take the fine features of each track, (n_i, NUM_BANDS), and their power, (n_i,)."""
         self._fine = fine
-        # Half: the reference has two frames where the query has one.
-        self._energy = [
-            np.concatenate([[0.0], np.cumsum((f.astype(np.float64) ** 2).sum(1))]) / 2.0
-            for f in fine
-        ]
+        self._power = power
+        self._energy: dict[int, npt.NDArray[np.float64]] = {}
 
     def align(
         self,
@@ -130,7 +140,7 @@ class FineAligner:
         scores = np.take(gram.ravel(), columns).sum(-1)  # (rates, offsets)
         r, d = np.unravel_index(int(scores.argmax()), scores.shape)
         reference_energy = self._energy_at(track, first, frames)
-        usual = self._energy[track][-1] / len(self._fine[track]) * 2 * frames
+        usual = self._energy_of(track)[-1] / len(self._fine[track]) * 2 * frames
         norm = max(reference_energy, QUIET_SHARE * usual, 1.0) * max(energy, 1e-9)
         similarity = min(float(scores[r, d]) / float(np.sqrt(norm)), 1.0)
         rate = rates[int(r)]
@@ -149,8 +159,16 @@ class FineAligner:
             reference[low - begin : high - begin] = fine[low:high]
         return reference
 
+    def _energy_of(self, track: int) -> npt.NDArray[np.float64]:
+        """Return the running sum of the power of a track, (n + 1,), made when first asked for."""
+        if track not in self._energy:
+            # Half: the reference has two frames where the query has one.
+            total = np.cumsum(self._power[track], dtype=np.float64) / 2.0
+            self._energy[track] = np.concatenate([[0.0], total])
+        return self._energy[track]
+
     def _energy_at(self, track: int, first: int, frames: int) -> float:
-        energy = self._energy[track]
+        energy = self._energy_of(track)
         low = min(max(first, 0), len(energy) - 1)
         return float(energy[min(low + 2 * frames, len(energy) - 1)] - energy[low])
 

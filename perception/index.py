@@ -1,13 +1,11 @@
-"""The index of reference tracks: features of each, on disk one .npz file."""
+"""The index of reference tracks: what a query is compared with. On disk: index_file.py."""
 
 from __future__ import annotations
 
-import hashlib
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +14,16 @@ from downbeat.perception import features as ft
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 
-FORMAT = "downbeat-alignment-index-2"
+if TYPE_CHECKING:
+    from downbeat.perception.landmarks import Postings
+
 PAD_FRAMES = 16
 """Zero frames (of 40 ms) around a track, so that a window may hang over its ends."""
 QUANTUM = 127.0 / 3.0
 """int8 scale of features, which lie in -1.5 .. 3."""
 COARSE_FRAMES, COARSE_BANDS = 2, 3
 """Averaged for the coarse scan: 160 ms, 1/8 octave."""
+FINE_PER_COARSE = 2 * COARSE_FRAMES
 MIN_TRACK_S = 2.0
 SILENT_PEAK = 1e-3
 DECOY_PLACES = 3_000
@@ -31,6 +32,8 @@ DECOY_SHIFT, DECOY_STEP = 10, 7
 """Bands by which decoys are transposed; 24 are an octave, which would be too like the original."""
 
 Fine = npt.NDArray[np.int8]
+Coarse = npt.NDArray[np.int8]
+Power = npt.NDArray[np.int32]
 
 
 def coarse(values: F32) -> F32:
@@ -42,9 +45,20 @@ def coarse(values: F32) -> F32:
     return cells.mean((1, 3), dtype=np.float32)
 
 
-def coarse_of_fine(fine: Fine) -> F32:
-    """Return the coarse features of a track, (n // 4, 49)."""
-    return coarse(fine[::2].astype(np.float32) / np.float32(QUANTUM))
+def coarse_of_fine(fine: Fine) -> Coarse:
+    """Return the coarse features of a track, (n // 4, 49), on the same int8 scale."""
+    frames = len(fine) // FINE_PER_COARSE
+    bands = ft.NUM_BANDS // COARSE_BANDS
+    cut = fine[: frames * FINE_PER_COARSE, : bands * COARSE_BANDS]
+    total = np.add(cut[::4], cut[2::4], dtype=np.int16)  # (n // 4, 147): the frames on the grid
+    cells = total[:, ::3] + total[:, 1::3] + total[:, 2::3]
+    return np.rint(cells / np.float32(COARSE_FRAMES * COARSE_BANDS)).astype(np.int8)
+
+
+def power_of_fine(fine: Fine) -> Power:
+    """Return the sum of squares of every frame, (n,)."""
+    values = fine.astype(np.float32)  # exact: 148 squares of 127 stay below 2 ** 24
+    return np.einsum("ij,ij->i", values, values).astype(np.int32)
 
 
 def make_decoys(tracks: Sequence[Fine]) -> list[Fine]:
@@ -60,23 +74,31 @@ def make_decoys(tracks: Sequence[Fine]) -> list[Fine]:
         shift = (DECOY_SHIFT + DECOY_STEP * turn) % ft.NUM_BANDS
         source = tracks[number % len(tracks)]
         decoys.append(np.ascontiguousarray(np.roll(source[::-1], shift, axis=1)))
-        places += len(source) // (2 * COARSE_FRAMES)
+        places += len(source) // FINE_PER_COARSE
     return decoys
 
 
 @dataclass
 class Index:
-    """Reference features.
+    """Reference features; arrays of a loaded index lie in its file.
 
     Attributes:
         names: Track names.
         fine: Per track (n, NUM_BANDS) int8, one frame every 40 ms, padded.
+        coarse: Per track (n // 4, 49) int8, one every 160 ms.
+        power: Per track (n,) int32, sum of squares of the frames of `fine`.
+        sources: Per track the digest of the file that it was made of; empty: not of a file.
+        postings: Landmarks of all tracks, if they were made already.
     """
 
     names: list[str] = field(default_factory=list)
-    fine: list[Fine] = field(default_factory=list)
+    fine: Sequence[Fine] = field(default_factory=list)
+    coarse: Sequence[Coarse] = field(default_factory=list)
+    power: Sequence[Power] = field(default_factory=list)
+    sources: list[str] = field(default_factory=list)
+    postings: Postings | None = None
 
-    def add(self, name: str, samples: F32, sample_rate_hz: int) -> None:
+    def add(self, name: str, samples: F32, sample_rate_hz: int, source: str = "") -> None:
         """Index one track.
 
         Raises:
@@ -84,60 +106,58 @@ class Index:
         """
         if name in self.names:
             raise PerceptionError(f"Track '{name}' is indexed already; names must be unique.")
-        sound = ft.to_matcher_rate(samples, sample_rate_hz)
-        peak = float(np.abs(sound).max()) if len(sound) else 0.0
-        if len(sound) < MIN_TRACK_S * ft.SAMPLE_RATE_HZ or not peak >= SILENT_PEAK:
-            raise PerceptionError(
-                f"Track '{name}' cannot be indexed: it is silent or shorter than {MIN_TRACK_S:g} s."
-            )
-        even, odd = ft.features(sound), ft.features(sound[ft.HOP // 2 :])
-        frames = len(odd)
-        both = np.zeros((2 * frames, ft.NUM_BANDS), np.float32)
-        both[::2], both[1::2] = even[:frames], odd
-        tail = PAD_FRAMES + (-(2 * frames + 2 * PAD_FRAMES)) % 4
-        both = np.pad(both, ((PAD_FRAMES, tail), (0, 0)))
+        fine = track_features(name, samples, sample_rate_hz)
         self.names.append(name)
-        self.fine.append(np.round(both * QUANTUM).astype(np.int8))
+        self.fine = [*self.fine, fine]
+        self.coarse = [*self.coarse, coarse_of_fine(fine)]
+        self.power = [*self.power, power_of_fine(fine)]
+        self.sources.append(source)
+        self.postings = None
 
     def subset(self, numbers: Sequence[int]) -> Index:
         """Return an index of some of the tracks, sharing their arrays."""
-        return Index([self.names[i] for i in numbers], [self.fine[i] for i in numbers])
-
-    def digest(self) -> str:
-        """Return a hash of the content."""
-        state = hashlib.sha256(FORMAT.encode())
-        for name, fine in zip(self.names, self.fine):
-            state.update(f"{name}\0{fine.shape}".encode() + fine.tobytes())
-        return state.hexdigest()
+        return Index(
+            [self.names[i] for i in numbers],
+            [self.fine[i] for i in numbers],
+            [self.coarse[i] for i in numbers],
+            [self.power[i] for i in numbers],
+            [self.sources[i] for i in numbers],
+        )
 
     def save(self, path: Path) -> None:
-        """Write the index as .npz."""
-        arrays = {f"fine_{i}": fine for i, fine in enumerate(self.fine)}
-        header = np.array([FORMAT, self.digest(), *self.names])
-        with path.open("wb") as file:
-            np.savez_compressed(file, header=header, **arrays)
+        """Write the index; a reader sees the old file or the new one, never a part."""
+        from downbeat.perception.index_file import write_index
+
+        write_index(self, path)
 
     @classmethod
     def load(cls, path: Path) -> Index:
-        """Read an index.
+        """Map an index into memory.
 
         Raises:
             PerceptionError: The file is missing, foreign, of another version or damaged.
         """
-        remedy = "`downbeat catalog build` makes one"
-        if not path.is_file():
-            raise PerceptionError(f"Index {path} does not exist; {remedy}.")
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                head = [str(entry) for entry in data["header"]]
-                if head[0] != FORMAT:
-                    raise PerceptionError(f"{path} is not a {FORMAT}; {remedy}.")
-                index = cls(head[2:], [data[f"fine_{i}"] for i in range(len(head) - 2)])
-        except (
-            ValueError, KeyError, IndexError, TypeError, OSError, EOFError,
-            zipfile.BadZipFile, zlib.error, NotImplementedError,
-        ) as error:  # fmt: skip
-            raise PerceptionError(f"{path} is not a {FORMAT}, or is damaged; {remedy}.") from error
-        if head[1] != index.digest():
-            raise PerceptionError(f"{path} is damaged; {remedy}.")
-        return index
+        from downbeat.perception.index_file import read_index
+
+        return read_index(path)
+
+
+def track_features(name: str, samples: F32, sample_rate_hz: int) -> Fine:
+    """Return the fine features of a track, padded, (n, NUM_BANDS); n is a multiple of 4.
+
+    Raises:
+        PerceptionError: It is silent or shorter than 2 s.
+    """
+    sound = ft.to_matcher_rate(samples, sample_rate_hz)
+    peak = float(np.abs(sound).max()) if len(sound) else 0.0
+    if len(sound) < MIN_TRACK_S * ft.SAMPLE_RATE_HZ or not peak >= SILENT_PEAK:
+        raise PerceptionError(
+            f"Track '{name}' cannot be indexed: it is silent or shorter than {MIN_TRACK_S:g} s."
+        )
+    even, odd = ft.features(sound), ft.features(sound[ft.HOP // 2 :])
+    frames = len(odd)
+    both = np.zeros((2 * frames, ft.NUM_BANDS), np.float32)
+    both[::2], both[1::2] = even[:frames], odd
+    tail = PAD_FRAMES + (-(2 * frames + 2 * PAD_FRAMES)) % FINE_PER_COARSE
+    both = np.pad(both, ((PAD_FRAMES, tail), (0, 0)))
+    return np.round(both * QUANTUM).astype(np.int8)

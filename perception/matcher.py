@@ -15,25 +15,11 @@ from typing import Protocol
 import numpy as np
 
 from downbeat.perception import features as ft
-from downbeat.perception.alignment import (
-    FINE_PER_COARSE,
-    FINE_S,
-    CoarseScan,
-    FineAligner,
-    Fit,
-    best_places,
-    spread_out,
-)
+from downbeat.perception.alignment import FINE_S, Fit, spread_out
+from downbeat.perception.candidates import prepare
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
-from downbeat.perception.index import (
-    PAD_FRAMES,
-    SILENT_PEAK,
-    Index,
-    coarse,
-    coarse_of_fine,
-    make_decoys,
-)
+from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, SILENT_PEAK, Index
 
 PITCHES = (1.02, 0.98)
 CANDIDATES, PER_TRACK, PITCHED, MORE_PLACES = 24, 4, 6, 12
@@ -147,9 +133,7 @@ class AlignmentMatcher:
         """
         if not self.index.names:
             raise PerceptionError("The index holds no track; `add` at least one before a query.")
-        fine = [*self.index.fine, *make_decoys(self.index.fine)]
-        self._scan = CoarseScan([coarse_of_fine(track) for track in fine])
-        self._aligner = FineAligner(fine)
+        self._scan, self._aligner = prepare(self.index)
         self._ready = True
 
     def save(self, path: Path) -> None:
@@ -209,8 +193,7 @@ class AlignmentMatcher:
 
     def _search(self, values: F32) -> tuple[list[Fit], float]:
         """Return the fits, best first, and the chance spread of the coarse scores."""
-        scores, chance = self._scan.scores(coarse(values))
-        ranked = best_places(scores, RANKED)
+        ranked, chance = self._scan.search(values, RANKED)
         track_of = self._scan.track_of
         places = spread_out(ranked, track_of, CANDIDATES, PER_TRACK).tolist()
         fits = [self._fit(values, place) for place in places]

@@ -15,14 +15,15 @@ from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.tracks import Track, load_tracks
 from downbeat.perception.beats import GRID_FORMAT, estimate_grid
 from downbeat.perception.errors import PerceptionError
-from downbeat.perception.index import FORMAT, Index
+from downbeat.perception.index import Index
+from downbeat.perception.index_file import VERSION, features_fingerprint
 from downbeat.perception.matcher import AlignmentMatcher
 from downbeat.perception.source import Recording, audio_files, load_recording
 from downbeat.perception.timeline import tempo_octave
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.rundir import CACHE_DIR
 
-INDEX_NAME = "index.npz"
+INDEX_NAME = "index.bin"
 DUPLICATE_S, DUPLICATE_SIMILARITY = 6.0, 0.6
 
 Say = Callable[[str], None]
@@ -35,7 +36,7 @@ class Library:
     Attributes:
         tracks: By name; rules assign skills.
         recordings: By name.
-        folder: Holds NAME.toml and index.npz.
+        folder: Holds NAME.toml and index.bin.
     """
 
     tracks: dict[str, Track]
@@ -194,18 +195,16 @@ def duplicates(recordings: Mapping[str, Recording]) -> list[tuple[str, str]]:
 
 def build_index(recordings: Mapping[str, Recording], path: Path) -> None:
     """Index single tracks; cached by content, because a show indexes the same tracks again."""
-    digest = hashlib.sha256(FORMAT.encode())
+    digest = hashlib.sha256(f"{VERSION} {features_fingerprint()}".encode())
     for name, recording in recordings.items():
         digest.update(name.encode() + recording.samples.tobytes())
-    cached = CACHE_DIR / "indexes" / f"{digest.hexdigest()[:24]}.npz"
+    cached = CACHE_DIR / "indexes" / f"{digest.hexdigest()[:24]}.bin"
     if not cached.is_file():
         index = Index()
         for name, recording in recordings.items():
             index.add(name, recording.samples, recording.sample_rate_hz)
         cached.parent.mkdir(parents=True, exist_ok=True)
-        temporary = cached.with_suffix(".part")
-        index.save(temporary)
-        temporary.replace(cached)
+        index.save(cached)
     shutil.copy(cached, path)
 
 

@@ -16,7 +16,7 @@ class Build:
     audio: tyro.conf.Positional[Path]
     """Folder of audio files (wav, flac, ogg, mp3)."""
     out: Path = Path("my_catalog")
-    """Folder that receives NAME.toml per track and index.npz."""
+    """Folder that receives NAME.toml per track and index.bin."""
     seed: int = 0
     """Assigns skills to tracks; edit the TOML files to your taste afterwards."""
 
@@ -32,7 +32,7 @@ class Match:
     """Ask a catalogue what a recording is and where in the track it stands."""
 
     index: tyro.conf.Positional[Path]
-    """Folder made by `downbeat catalog build`, or its index.npz."""
+    """Folder made by `downbeat catalog build`, or its index.bin."""
     audio: tyro.conf.Positional[Path]
     """Recording."""
     at: float = 0.0
