@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -11,10 +12,13 @@ import numpy as np
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t
 from downbeat.perception.features import F32
 from downbeat.perception.matcher import MusicMatcher
+from downbeat.perception.ring import Block, Ring
 from downbeat.perception.sound_share import SoundShare
-from downbeat.perception.source import FileSource, Ring
+from downbeat.perception.source import Source
 from downbeat.perception.tracker import Lock, Tracker, TrackState
 from downbeat.runtime.bus import Bus
+
+log = logging.getLogger("downbeat.listener")
 
 HOP_US = 250_000
 RING_S = 6.0
@@ -47,8 +51,8 @@ class EnergyRouter:
 
 
 def level_dbfs(samples: F32) -> float:
-    """Return the RMS level [dB], full scale 0, at least -120."""
-    power = float(np.mean(samples.astype(np.float64) ** 2)) if len(samples) else 0.0
+    """Return the RMS level [dB], full scale 0, at least -120; a constant offset is no sound."""
+    power = float(np.var(samples, dtype=np.float64)) if len(samples) else 0.0
     return max(10.0 * math.log10(power + 1e-12), -120.0)
 
 
@@ -61,7 +65,7 @@ class ListenerNode:
     def __init__(
         self,
         bus: Bus,
-        source: FileSource,
+        source: Source,
         matcher: MusicMatcher,
         next_boundary_s: Callable[[str, float], float | None] | None = None,
         router: Router | None = None,
@@ -79,14 +83,20 @@ class ListenerNode:
         """
         self._bus = bus
         self._source = source
-        self._ring = Ring(RING_S, source.sample_rate_hz)
+        self._ring = Ring(RING_S)
         self._tracker = Tracker(matcher)
         self._router = router or EnergyRouter()
         self._next_boundary_s = next_boundary_s or (lambda _track, _tau: None)
         self._next_hop_utime = source.first_sample_utime + HOP_US
         self._announced = False
         self._finished = False
-        self._share = SoundShare(bus, source) if shares else None
+        self._failure = ""
+        self._share = SoundShare(bus) if shares else None
+
+    @property
+    def detail(self) -> str:
+        """What is wrong with the sound, for the heartbeat."""
+        return f"{self._failure} {self._source.counters.text()}".strip()
 
     def step(self, utime: int) -> None:
         """Read what has sounded, and analyse when a hop is due."""
@@ -96,10 +106,9 @@ class ListenerNode:
         if not self._announced:
             self._publish_source(audio_source_t.STARTED, utime)
             self._announced = True
-        heard = self._source.read(utime)
-        self._ring.append(heard)
-        if self._share is not None:
-            self._share.send(heard, utime, self._source.is_finished)
+        for block in self._source.read(utime):
+            self._hear(block, utime)
+        self._follow_failure(utime)
         if utime >= self._next_hop_utime:
             while self._next_hop_utime <= utime:
                 self._next_hop_utime += HOP_US
@@ -108,14 +117,37 @@ class ListenerNode:
             self._finished = True
             self._publish_source(audio_source_t.FINISHED, utime)
 
+    def _hear(self, block: Block, utime: int) -> None:
+        """Take a piece of sound, 16 kHz; nothing is missing inside it."""
+        self._ring.append(block.samples, block.utime, block.follows)
+        if self._share is not None:
+            self._share.send(block, utime)
+
+    def _follow_failure(self, utime: int) -> None:
+        """Say once that the source is gone, and once that it is back."""
+        failure = self._source.failure
+        if bool(failure) == bool(self._failure):
+            return
+        self._failure = failure
+        if failure:
+            log.error("%s", failure)
+            self._ring.mark_gap()  # what was heard before is no longer what is heard now
+            self._publish_source(audio_source_t.FAILED, utime)
+        else:
+            log.warning("The %s is heard again.", self._source.name)
+            self._publish_source(audio_source_t.STARTED, utime)
+
     def _analyse(self, utime: int) -> None:
-        now = self._source.heard_utime
+        # Without sound since a gap, time goes on all the same: a lock must not outlive it.
+        now = self._ring.last_utime if self._ring.seconds else self._source.heard_utime
         recent = self._ring.last(CLASS_WINDOW_S)
         rms_dbfs = level_dbfs(recent)
         label = self._router.label(recent, rms_dbfs)
         before = self._tracker.state
-        after = self._tracker.update(self._ring, now, rms_dbfs > PAUSE_DBFS)
-        start = now - round(len(recent) / self._source.sample_rate_hz * 1e6)
+        # Less than a whole window, as after a gap, speaks neither for nor against a lock.
+        audible = rms_dbfs > PAUSE_DBFS and self._ring.seconds >= CLASS_WINDOW_S
+        after = self._tracker.update(self._ring, now, audible)
+        start = now - round(len(recent) / self._ring.sample_rate_hz * 1e6)
         self._publish_class(utime, start, now, label, rms_dbfs)
         if label == audio_class_t.MUSIC or after.lock != before.lock:
             self._publish_match(utime, start, now, after)
@@ -126,8 +158,8 @@ class ListenerNode:
         msg.state = state
         msg.first_sample_utime = self._source.first_sample_utime
         msg.sample_rate_hz = self._source.sample_rate_hz
-        msg.duration_s = self._source.recording.duration_s
-        msg.name = self._source.recording.name
+        msg.duration_s = self._source.duration_s
+        msg.name = self._source.name
         self._bus.publish("AUDIO_SOURCE", msg)
 
     def _publish_class(self, utime: int, start: int, now: int, label: int, rms_dbfs: float) -> None:
@@ -165,4 +197,5 @@ class ListenerNode:
         self._bus.publish("MUSIC_MATCH", msg)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Release the source."""
+        self._source.close()

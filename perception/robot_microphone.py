@@ -1,8 +1,8 @@
 """The robot's own microphone as a source: UDP multicast, 16 kHz mono s16le, 160 ms a datagram.
 
 The datagrams carry neither a number nor a time. What was lost shows only in when the next one
-comes: a datagram that is late by whole chunks has lost ones before it, and silence takes their
-place, so that what sounds later keeps its time. The kernel stamps arrivals, not our own loop.
+comes: a datagram that is late by whole chunks has lost ones before it; they are a gap, and what
+sounds later keeps its time. The kernel stamps arrivals, not our own loop.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import math
 import socket
 import struct
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
 from downbeat.perception.errors import PerceptionError
-from downbeat.perception.features import F32
+from downbeat.perception.ring import RATE_HZ, Block
+from downbeat.perception.source import SourceCounters
 from downbeat.runtime.clock import Clock
 from downbeat.runtime.errors import one_of
 
 GROUP, PORT = "239.168.123.161", 5555
-SAMPLE_RATE_HZ = 16_000
+SAMPLE_RATE_HZ = RATE_HZ
 CHUNK_SAMPLES = 2560
 CHUNK_BYTES = 2 * CHUNK_SAMPLES
 CHUNK_US = CHUNK_SAMPLES * 1_000_000 // SAMPLE_RATE_HZ
@@ -30,42 +30,9 @@ LATE = 0.75
 FOLLOW = 0.02
 """Share of an arrival's lateness that moves the time base: the robot's clock is not ours."""
 OUTAGE_US = 1_000_000
-"""After so long without a datagram silence is heard, half a second behind."""
-OUTAGE_LAG_US = 500_000
+"""After so long without a datagram the microphone counts as gone, until the next one."""
 SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 RECEIVE_BYTES = 1 << 20
-
-
-@dataclass(frozen=True, slots=True)
-class LiveSound:
-    """What the listener announces of a source that does not end.
-
-    Attributes:
-        name: Of the device.
-        duration_s: NaN: nobody knows.
-    """
-
-    name: str
-    duration_s: float = math.nan
-
-
-@dataclass(slots=True)
-class MicrophoneCounters:
-    """What came.
-
-    Attributes:
-        good: Datagrams taken.
-        bad: Datagrams of another length; never heard.
-        lost: Chunks that silence stands for.
-        surplus: Datagrams that came after silence had taken their place; dropped.
-        last_bad: Length of the last bad one [bytes].
-    """
-
-    good: int = 0
-    bad: int = 0
-    lost: int = 0
-    surplus: int = 0
-    last_bad: int = -1
 
 
 class ChunkTimeline:
@@ -77,65 +44,54 @@ class ChunkTimeline:
         Args:
             latency_us: From when a chunk's last sample sounds to its arrival.
         """
-        self.counters = MicrophoneCounters()
+        self.counters = SourceCounters()
         self.zero_utime: int | None = None
-        """When sample 0 sounded [us]."""
+        """When the first sample sounded [us]."""
         self.num_samples = 0
+        """Heard or lost so far."""
         self._latency_us = latency_us
         self._shift_us = 0.0
 
-    def add(self, payload: bytes, arrived: int) -> F32:
-        """Return the samples to append for a datagram that arrived at `arrived` [us]; may be none.
-
-        Lost chunks come as silence in front.
-        """
+    def add(self, payload: bytes, arrived: int) -> Block | None:
+        """Return the sound of a datagram that arrived at `arrived` [us], None if it has none."""
         counters = self.counters
         if len(payload) != CHUNK_BYTES:
             counters.bad += 1
             counters.last_bad = len(payload)
-            return np.zeros(0, np.float32)
+            return None
         sounded = arrived - self._latency_us  # its last sample
         if self.zero_utime is None:
             self.zero_utime = sounded - CHUNK_US
-        expected = self.zero_utime + self._shift_us + self._end_us(self.num_samples) + CHUNK_US
+        expected = self._utime_of(self.num_samples) + CHUNK_US
         late = (sounded - expected) / CHUNK_US
         if late < -LATE:
             counters.surplus += 1
-            return np.zeros(0, np.float32)
+            return None
         missing = max(0, round(late)) if late > LATE else 0
-        counters.lost += missing
+        counters.lost_samples += missing * CHUNK_SAMPLES
         self._shift_us += FOLLOW * (late - missing) * CHUNK_US
         counters.good += 1
+        self.num_samples += missing * CHUNK_SAMPLES
+        first_utime = self._utime_of(self.num_samples)
+        self.num_samples += CHUNK_SAMPLES
         samples = np.frombuffer(payload, "<i2").astype(np.float32) / np.float32(32768.0)
-        silence = np.zeros(missing * CHUNK_SAMPLES, np.float32)
-        self.num_samples += len(silence) + len(samples)
-        return np.concatenate([silence, samples])
+        return Block(samples, first_utime, missing == 0)
 
-    def fill(self, utime: int) -> F32:
-        """Return the silence that is due at `utime` [us] when nothing comes any more."""
-        if self.zero_utime is None or utime - self.heard_utime < OUTAGE_US:
-            return np.zeros(0, np.float32)
-        chunks = (utime - OUTAGE_LAG_US - self.heard_utime) // CHUNK_US
-        self.counters.lost += chunks
-        self.num_samples += chunks * CHUNK_SAMPLES
-        return np.zeros(chunks * CHUNK_SAMPLES, np.float32)
-
-    @staticmethod
-    def _end_us(samples: int) -> float:
-        return samples * 1e6 / SAMPLE_RATE_HZ
+    def _utime_of(self, number: int) -> int:
+        assert self.zero_utime is not None
+        return self.zero_utime + round(self._shift_us + number * 1e6 / SAMPLE_RATE_HZ)
 
     @property
     def heard_utime(self) -> int:
         """When the last sample sounded [us]; 0 before the first."""
-        if self.zero_utime is None:
-            return 0
-        return self.zero_utime + round(self._shift_us + self._end_us(self.num_samples))
+        return 0 if self.zero_utime is None else self._utime_of(self.num_samples)
 
 
 class RobotMicrophone:
-    """A source for the listener, in the form of `perception.source.FileSource`."""
+    """A `perception.source.Source`: the microphone on the robot's head."""
 
     sample_rate_hz = SAMPLE_RATE_HZ
+    duration_s = math.nan
     is_finished = False
 
     def __init__(
@@ -160,35 +116,56 @@ class RobotMicrophone:
         """
         self._clock = clock
         self.first_sample_utime = first_sample_utime
-        self.recording = LiveSound(f"robot microphone on {interface}")
+        self.name = f"robot microphone on {interface}"
+        self.failure = ""
         self._timeline = ChunkTimeline(round(latency_s * 1e6))
+        self._silent_since = first_sample_utime or clock.utime()
+        self._read_utime = 0
         self._socket = _join(interface, address)
 
     @property
-    def counters(self) -> MicrophoneCounters:
+    def counters(self) -> SourceCounters:
         """What came."""
         return self._timeline.counters
 
     @property
     def heard_utime(self) -> int:
-        """When the last sample that was read sounded [us]."""
+        """When the last sample that was read sounded; during an outage: the last read [us]."""
+        if self.failure:
+            return self._read_utime
         return self._timeline.heard_utime or self._clock.utime()
 
-    def read(self, utime: int) -> F32:
-        """Return the samples that came in since the last read, silence for lost ones."""
-        parts: list[F32] = []
+    def read(self, utime: int) -> list[Block]:
+        """Return the chunks that came in since the last read; lost ones are gaps."""
+        blocks: list[Block] = []
+        self._read_utime = utime
         while True:
             try:
                 payload, ancillary, _flags, _sender = self._socket.recvmsg(65536, 64)
             except (BlockingIOError, InterruptedError):
                 break
             except OSError:
-                break  # an interface that went down: silence follows
+                break  # an interface that went down: nothing follows
             arrived = self._clock.utime() - _age_us(ancillary)
-            if arrived >= self.first_sample_utime:
-                parts.append(self._timeline.add(payload, arrived))
-        parts.append(self._timeline.fill(utime))
-        return np.concatenate(parts)
+            if arrived < self.first_sample_utime:
+                continue
+            block = self._timeline.add(payload, arrived)
+            if block is not None:
+                blocks.append(block)
+        self._judge(utime, bool(blocks))
+        return blocks
+
+    def _judge(self, utime: int, came: bool) -> None:
+        """Say once that nothing comes any more, and take it back when something does."""
+        if came:
+            self.failure = ""
+            self._silent_since = utime
+        elif not self.failure and utime - self._silent_since > OUTAGE_US:
+            self.counters.outages += 1
+            self.failure = (
+                f"No sound has come from the {self.name} for {OUTAGE_US / 1e6:.0f} s; it is heard "
+                "again as soon as it sends."
+            )
 
     def close(self) -> None:
         """Leave the group."""

@@ -1,18 +1,38 @@
-"""Sound from a file, heard as time passes: real time and simulated time with the same code."""
+"""What a source of sound is; and a file as one, heard as time passes, real or simulated."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import soundfile
 
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
+from downbeat.perception.ring import RATE_HZ, Block, Resampler, Ring
+
+__all__ = [
+    "AUDIO_SUFFIXES",
+    "Block",
+    "FileSource",
+    "Recording",
+    "Ring",
+    "Source",
+    "SourceCounters",
+    "audio_files",
+    "load_recording",
+]
+
+log = logging.getLogger("downbeat.listener")
 
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
 MIN_SAMPLE_RATE_HZ = 8_000
+READ_FRAMES = 1 << 14
+WHOLE = 0.98
+"""A file that decodes to less than this share of what its header says was cut off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +56,7 @@ class Recording:
 
 
 def load_recording(path: Path) -> Recording:
-    """Decode a file to mono.
+    """Decode a file to mono; of one that was cut off, what can be decoded, with a warning.
 
     Raises:
         PerceptionError: It is missing, is no audio, is empty or holds non-finite samples.
@@ -45,14 +65,39 @@ def load_recording(path: Path) -> Recording:
     if not path.is_file():
         raise PerceptionError(f"Audio file {path} does not exist; {valid}.")
     try:
-        samples, rate = soundfile.read(path, dtype="float32", always_2d=True)
+        with soundfile.SoundFile(path) as file:
+            rate, expected = int(file.samplerate), int(file.frames)
+            samples, is_cut = _decode(file)
     except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:
         raise PerceptionError(f"{path} is not an audio file that can be read; {valid}.") from error
     if len(samples) == 0 or rate < MIN_SAMPLE_RATE_HZ or not np.isfinite(samples).all():
         raise PerceptionError(
-            f"{path} holds no usable sound (empty, below {MIN_SAMPLE_RATE_HZ} Hz, or not finite)."
+            f"{path} holds no usable sound (empty or cut off, below {MIN_SAMPLE_RATE_HZ} Hz, "
+            "or not finite)."
         )
-    return Recording(path.stem, samples.mean(axis=1).astype(np.float32), int(rate))
+    if is_cut or len(samples) < WHOLE * expected:
+        seconds = (len(samples) / rate, expected / rate)
+        log.warning("%s is cut off: %.1f of %.1f s can be decoded.", path, *seconds)
+    return Recording(path.stem, samples, rate)
+
+
+def _decode(file: soundfile.SoundFile) -> tuple[F32, bool]:
+    """Return the mono samples, (n,), and whether decoding failed on the way.
+
+    Raises:
+        soundfile.LibsndfileError: Not even the beginning can be decoded.
+    """
+    parts: list[F32] = []
+    while True:
+        try:
+            part = file.read(READ_FRAMES, dtype="float32", always_2d=True)
+        except (soundfile.LibsndfileError, RuntimeError):
+            if not parts:
+                raise
+            return np.concatenate(parts), True
+        if len(part) == 0:
+            return (np.concatenate(parts) if parts else np.zeros(0, np.float32)), False
+        parts.append(part.mean(axis=1).astype(np.float32))
 
 
 def audio_files(folder: Path) -> list[Path]:
@@ -71,8 +116,88 @@ def audio_files(folder: Path) -> list[Path]:
     return found
 
 
+@dataclass(slots=True)
+class SourceCounters:
+    """What came, and what did not.
+
+    Attributes:
+        good: Blocks taken.
+        bad: Blocks that could not be used: another length, nothing but rubbish.
+        lost_samples: Samples that are known to be missing, at 16 kHz.
+        surplus: Blocks that came twice or too late; dropped.
+        xruns: Times a sound card's buffer ran over.
+        bad_samples: Samples that were not finite; silence stands for them.
+        outages: Times nothing came any more.
+        last_bad: Length of the last bad block [bytes]; -1 before one.
+    """
+
+    good: int = 0
+    bad: int = 0
+    lost_samples: int = 0
+    surplus: int = 0
+    xruns: int = 0
+    bad_samples: int = 0
+    outages: int = 0
+    last_bad: int = -1
+
+    def text(self) -> str:
+        """Return what is wrong so far, e.g. "xruns 2, lost_samples 480"; "" while all is well."""
+        wrong = ("lost_samples", "xruns", "outages", "bad", "bad_samples", "surplus")
+        return ", ".join(f"{name} {getattr(self, name)}" for name in wrong if getattr(self, name))
+
+
+class Source(Protocol):
+    """Sound on the show's clock, 16 kHz mono, in blocks without a gap inside.
+
+    Attributes:
+        name: File or device.
+        duration_s: Length [s], NaN if nobody knows.
+        sample_rate_hz: Of its blocks: 16 kHz.
+        first_sample_utime: Nothing before is heard [us].
+        is_finished: Everything was read.
+        failure: Why nothing comes at the moment, one sentence; "" while it does.
+        counters: What came, and what did not.
+    """
+
+    name: str
+    duration_s: float
+    sample_rate_hz: int
+    first_sample_utime: int
+    counters: SourceCounters
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether everything was read."""
+        ...
+
+    @property
+    def failure(self) -> str:
+        """Why nothing comes at the moment; "" while it does."""
+        ...
+
+    @property
+    def heard_utime(self) -> int:
+        """Up to when is known what sounded, or that nothing will be known [us]."""
+        ...
+
+    def read(self, utime: int) -> list[Block]:
+        """Return what came in since the last read; never raises, never waits."""
+        ...
+
+    def close(self) -> None:
+        """Release the device."""
+        ...
+
+
 class FileSource:
-    """Plays a recording on a clock: sample k sounds at first_sample_utime + k / rate."""
+    """Plays a recording on a clock: sample k sounds at first_sample_utime + k / rate.
+
+    It is brought to 16 kHz once, when it is opened: no read depends on the ones before, so that
+    every pattern of steps hears the same.
+    """
+
+    sample_rate_hz = RATE_HZ
+    failure = ""
 
     def __init__(
         self, recording: Recording, first_sample_utime: int, latency_s: float = 0.0
@@ -85,52 +210,41 @@ class FileSource:
             latency_s: How long after it sounds a sample can be read, as behind a microphone's
                 buffers [s]. Stamps stay those of the sound.
         """
-        self.recording = recording
+        self.name = recording.name
+        self.duration_s = recording.duration_s
         self.first_sample_utime = first_sample_utime
-        self.sample_rate_hz = recording.sample_rate_hz
+        self.counters = SourceCounters()
+        self._samples = self._at_16_khz(recording)
         self._latency_us = round(latency_s * 1e6)
         self._read = 0
 
-    def read(self, utime: int) -> F32:
+    def _at_16_khz(self, recording: Recording) -> F32:
+        resampler = Resampler(recording.sample_rate_hz)
+        blocks = resampler.push(Block(recording.samples, 0)) + resampler.flush()
+        self.counters.bad_samples = resampler.num_bad_samples
+        return np.concatenate([b.samples for b in blocks]) if blocks else np.zeros(0, np.float32)
+
+    def read(self, utime: int) -> list[Block]:
         """Return the samples that came in since the last read; never any from the future."""
         elapsed_us = utime - self._latency_us - self.first_sample_utime
-        heard = elapsed_us * self.sample_rate_hz // 1_000_000
-        heard = int(min(max(heard, self._read), len(self.recording.samples)))
-        chunk = self.recording.samples[self._read : heard]
+        heard = elapsed_us * RATE_HZ // 1_000_000
+        heard = int(min(max(heard, self._read), len(self._samples)))
+        first, first_utime = self._read, self.heard_utime
         self._read = heard
-        return chunk
+        if heard == first:
+            return []
+        self.counters.good += 1
+        return [Block(self._samples[first:heard], first_utime, True)]
 
     @property
     def is_finished(self) -> bool:
         """Whether everything was read."""
-        return self._read >= len(self.recording.samples)
+        return self._read >= len(self._samples)
 
     @property
     def heard_utime(self) -> int:
-        """When the last sample that was read sounded [us]."""
-        return self.first_sample_utime + self._read * 1_000_000 // self.sample_rate_hz
+        """When the last sample that was read had sounded [us]."""
+        return self.first_sample_utime + self._read * 1_000_000 // RATE_HZ
 
-
-class Ring:
-    """The last seconds of sound."""
-
-    def __init__(self, seconds: float, sample_rate_hz: int) -> None:
-        self.sample_rate_hz = sample_rate_hz
-        self._size = round(seconds * sample_rate_hz)
-        self._samples = np.zeros(0, np.float32)
-
-    def append(self, chunk: F32) -> None:
-        """Add new samples, forget the oldest."""
-        if len(chunk) == 0:
-            return
-        self._samples = np.concatenate([self._samples, chunk])[-self._size :]
-
-    def last(self, seconds: float) -> F32:
-        """Return the newest `seconds`, or as much as there is."""
-        count = min(round(seconds * self.sample_rate_hz), len(self._samples))
-        return self._samples[len(self._samples) - count :]
-
-    @property
-    def seconds(self) -> float:
-        """How much is held [s]."""
-        return len(self._samples) / self.sample_rate_hz
+    def close(self) -> None:
+        """Nothing to release."""

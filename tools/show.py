@@ -22,7 +22,6 @@ from downbeat.runtime.config import load_config, plain
 from downbeat.tools.errors import ToolError
 
 SHOW_NAME = "show.toml"
-ROBOT_MICROPHONE = "robot:"
 TRANSITIONS = ("proven", "rules", "via_stand", "hard")
 
 
@@ -31,7 +30,8 @@ class ShowConfig:
     """Content of show.toml; paths are relative to its folder.
 
     Attributes:
-        audio: The sound file, or "robot:INTERFACE" for the robot's own microphone.
+        audio: The sound file; or "mic:", "mic:NAME", "robot:INTERFACE", "chunks:"
+            (perception/source_spec.py).
         tracks: Folder of track files.
         index: Fingerprint index.
         set_list: Set list of an announced show, empty: cuts are a surprise.
@@ -131,27 +131,26 @@ def make_sim(show: Show, bus: Bus) -> Any:
 
 
 def make_listener(show: Show, bus: Bus, first_sample_utime: int) -> Any:
-    """Build the listener process; its file starts to sound at `first_sample_utime`."""
+    """Build the listener process; its file starts to sound at `first_sample_utime`.
+
+    Raises:
+        DownbeatError: The sound, the index or a track cannot be used.
+    """
     from downbeat.perception.listener import ListenerNode
     from downbeat.perception.matcher import AlignmentMatcher
-    from downbeat.perception.source import FileSource, load_recording
+    from downbeat.perception.source_spec import CHUNKS, open_source
 
     tracks = show_tracks(show)
 
     def next_boundary_s(track: str, tau_s: float) -> float | None:
         return tracks[track].next_change_s(tau_s) if track in tracks else None
 
-    source: Any
-    if show.config.audio.startswith(ROBOT_MICROPHONE):
-        from downbeat.perception.robot_microphone import RobotMicrophone
-
-        interface = show.config.audio.removeprefix(ROBOT_MICROPHONE)
-        source = RobotMicrophone(bus.clock, interface, first_sample_utime)
-    else:
-        recording = load_recording(show.path(show.config.audio))
-        source = FileSource(recording, first_sample_utime)
     matcher = AlignmentMatcher.load(show.path(show.config.index))
-    return ListenerNode(bus, source, matcher, next_boundary_s, shares=bool(show.config.speech))
+    audio = show.config.audio
+    source = open_source(audio, show.folder, bus, first_sample_utime)
+    # Chunks of another process are on the bus already.
+    shares = bool(show.config.speech) and audio != CHUNKS
+    return ListenerNode(bus, source, matcher, next_boundary_s, shares=shares)
 
 
 def make_conductor(show: Show, bus: Bus) -> Any:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from downbeat.perception.errors import PerceptionError
+from downbeat.perception.ring import Ring
 from downbeat.perception.robot_microphone import (
     CHUNK_BYTES,
     CHUNK_SAMPLES,
@@ -27,14 +28,18 @@ def chunk(number):
     return np.full(CHUNK_SAMPLES, number + 1, "<i2").tobytes()
 
 
-def numbers(samples):
-    """Return which chunk each piece of samples is; 0: silence."""
-    return [round(float(v) * 32768) for v in samples[::CHUNK_SAMPLES]]
+def numbers(blocks):
+    """Return which chunk each block is, 0 in front of one that does not follow."""
+    found = []
+    for block in blocks:
+        gap = [] if block.follows else [0]
+        found += [*gap, *(round(float(v) * 32768) for v in block.samples[::CHUNK_SAMPLES])]
+    return found
 
 
 def feed(timeline, arrivals):
     heard = [timeline.add(chunk(n), at) for n, at in arrivals]
-    return numbers(np.concatenate(heard)) if heard else []
+    return numbers(block for block in heard if block is not None)
 
 
 def test_chunks_without_loss_are_heard_as_they_are():
@@ -45,12 +50,19 @@ def test_chunks_without_loss_are_heard_as_they_are():
 
 
 @given(st.sets(st.integers(1, 38)), st.lists(st.integers(0, 40_000), min_size=40, max_size=40))
-def test_silence_stands_for_what_was_lost_whatever_the_jitter(lost, jitter):
-    timeline = ChunkTimeline(0)
+def test_what_was_lost_is_a_gap_whatever_the_jitter(lost, jitter):
+    timeline, ring = ChunkTimeline(0), Ring(1.0)
     sent = [n for n in range(40) if n not in lost]
-    heard = feed(timeline, [(n, START + n * CHUNK_US + jitter[n]) for n in sent])
-    assert heard == [0 if n in lost else n + 1 for n in range(40)]
-    assert timeline.counters.lost == len(lost) and timeline.counters.surplus == 0
+    run = 0
+    for n in sent:
+        block = timeline.add(chunk(n), START + n * CHUNK_US + jitter[n])
+        run = run + 1 if n - 1 not in lost else 1
+        ring.append(block.samples, block.utime, block.follows)
+        assert ring.seconds == pytest.approx(min(0.16 * run, 1.0))
+        assert abs(ring.last_utime - (START + n * CHUNK_US)) <= 60_000
+    assert timeline.counters.lost_samples == CHUNK_SAMPLES * len(lost)
+    assert timeline.counters.surplus == 0
+    assert ring.num_gaps == sum(n - 1 in lost for n in sent)
 
 
 def test_a_burst_after_a_stall_neither_gains_nor_loses_time():
@@ -61,14 +73,15 @@ def test_a_burst_after_a_stall_neither_gains_nor_loses_time():
     arrivals += [(n, START + n * CHUNK_US) for n in range(5, 10)]
     feed(timeline, arrivals)
     assert timeline.num_samples == 10 * CHUNK_SAMPLES
-    assert timeline.counters.lost == timeline.counters.surplus == 2
+    assert timeline.counters.lost_samples == 2 * CHUNK_SAMPLES
+    assert timeline.counters.surplus == 2
 
 
 @pytest.mark.parametrize("length", [0, 1, CHUNK_BYTES // 2, CHUNK_BYTES - 1, CHUNK_BYTES + 2])
 def test_half_a_datagram_is_counted_and_not_heard(length):
     timeline = ChunkTimeline(0)
     timeline.add(chunk(0), START)
-    assert len(timeline.add(bytes(length), START + CHUNK_US)) == 0
+    assert timeline.add(bytes(length), START + CHUNK_US) is None
     assert timeline.counters.bad == 1 and timeline.counters.last_bad == length
     assert feed(timeline, [(2, START + 2 * CHUNK_US)]) == [0, 3]
 
@@ -77,18 +90,13 @@ def test_a_clock_that_runs_differently_is_followed():
     timeline = ChunkTimeline(0)
     step = round(CHUNK_US * 1.0002)  # 200 ppm: 72 ms in six minutes, half a chunk
     feed(timeline, [(n % 100, START + n * step) for n in range(4000)])
-    assert timeline.counters.lost == timeline.counters.surplus == 0
+    assert timeline.counters.lost_samples == timeline.counters.surplus == 0
     assert abs(timeline.heard_utime - (START + 3999 * step)) < 5_000
 
 
-def test_an_outage_becomes_silence_and_time_goes_on():
+def test_time_goes_on_through_an_outage():
     timeline = ChunkTimeline(0)
-    feed(timeline, [(0, START)])
-    assert len(timeline.fill(START + 500_000)) == 0
-    silence = timeline.fill(START + 3_000_000)
-    assert len(silence) and not silence.any()
-    assert START + 2_300_000 < timeline.heard_utime <= START + 2_500_000
-    feed(timeline, [(1, START + 25 * CHUNK_US)])
+    assert feed(timeline, [(0, START), (1, START + 25 * CHUNK_US)]) == [1, 0, 2]
     assert abs(timeline.heard_utime - (START + 25 * CHUNK_US)) < CHUNK_US // 4
 
 
@@ -117,11 +125,17 @@ def test_datagrams_come_over_a_real_group_with_the_time_of_their_arrival():
     after = clock.utime()
     sender.sendto(chunk(1)[:999], address)
     time.sleep(0.2)  # read late: the stamp is that of the arrival all the same
-    samples = microphone.read(clock.utime())
-    assert numbers(samples) == [1]
+    assert numbers(microphone.read(clock.utime())) == [1]
     assert microphone.counters.bad == 1 and microphone.counters.last_bad == 999
     assert before - 2_000 <= microphone.heard_utime <= after + 50_000
     assert microphone.sample_rate_hz == 16_000 and not microphone.is_finished
+    later = clock.utime() + 1_500_000
+    assert not microphone.failure and not microphone.read(later)
+    assert "robot microphone on lo" in microphone.failure and microphone.counters.outages == 1
+    assert microphone.heard_utime == later
+    sender.sendto(chunk(2), address)
+    time.sleep(0.05)
+    assert microphone.read(later + 50_000) and not microphone.failure
     sender.close()
     microphone.close()
 

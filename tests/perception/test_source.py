@@ -3,25 +3,45 @@
 import numpy as np
 import pytest
 import soundfile
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.source import FileSource, Recording, Ring, audio_files, load_recording
 
-NOISE = Recording("noise", np.arange(44_100, dtype=np.float32), 44_100)
+RAMP = Recording("ramp", np.arange(16_000, dtype=np.float32), 16_000)
+NOISE = Recording("noise", np.random.default_rng(0).random(44_100, np.float32) - 0.5, 44_100)
 
 
 @given(st.lists(st.integers(0, 1_500_000), min_size=1, max_size=20))
 def test_nothing_is_heard_before_it_sounds_and_nothing_twice(times):
-    source = FileSource(NOISE, 1000)
+    source = FileSource(RAMP, 1000)
     heard = []
     latest = 0
     for utime in times:
         latest = max(latest, utime)
-        heard += source.read(utime).tolist()
-        assert len(heard) <= max(0.0, (latest - 1000) * 1e-6) * 44_100
-    assert heard == NOISE.samples[: len(heard)].tolist()
+        for block in source.read(utime):
+            assert block.utime == 1000 + len(heard) * 1_000_000 // 16_000
+            heard += block.samples.tolist()
+        assert len(heard) * 1_000_000 <= max(0, latest - 1000) * 16_000
+    assert heard == RAMP.samples[: len(heard)].tolist()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.lists(st.integers(1, 300_000), max_size=20))
+def test_every_pattern_of_steps_fills_the_ring_with_the_same(steps):
+    rings = []
+    for pattern in ([50_000] * 20, steps):
+        source, ring, utime = FileSource(NOISE, 1000), Ring(0.7), 1000
+        for step in [*pattern, 2_000_000]:
+            utime += step
+            for block in source.read(utime):
+                ring.append(block.samples, block.utime, block.follows)
+        assert source.is_finished and source.heard_utime == ring.last_utime
+        rings.append(ring)
+    assert np.array_equal(rings[0].last(1.0), rings[1].last(1.0))
+    assert rings[0].last_utime == rings[1].last_utime == 1_001_000
+    assert rings[0].num_gaps == rings[1].num_gaps == 0
 
 
 def test_ring_keeps_the_newest():
