@@ -40,6 +40,7 @@ class Fit:
         tau_s: Position of the window's start [s].
         rate: Track seconds per real second.
         information: Mean square of the reference there.
+        pitch: How much too high the query sounds, 1 if not.
     """
 
     similarity: float
@@ -47,6 +48,7 @@ class Fit:
     tau_s: float
     rate: float
     information: float = field(default=0.0, compare=False)
+    pitch: float = field(default=1.0, compare=False)
 
 
 class CoarseScan:
@@ -142,11 +144,13 @@ class FineAligner:
         reference_energy = self._energy_at(track, first, frames)
         usual = self._energy_of(track)[-1] / len(self._fine[track]) * 2 * frames
         norm = max(reference_energy, QUIET_SHARE * usual, 1.0) * max(energy, 1e-9)
-        similarity = min(float(scores[r, d]) / float(np.sqrt(norm)), 1.0)
+        # Between the frames of the reference: half a frame off costs what tells two repeats apart.
+        off, top = vertex(scores[r], int(d))
+        similarity = min(top / float(np.sqrt(norm)), 1.0)
         rate = rates[int(r)]
         # The line turns about the middle of the window; at another rate the start moves.
         turned = (frames - 1) * (1.0 - rate)
-        start = first + int(d) - search + vertex(scores[r], int(d)) + turned - PAD_FRAMES
+        start = first + int(d) - search + off + turned - PAD_FRAMES
         information = reference_energy / (frames * ft.NUM_BANDS * QUANTUM**2)
         return Fit(similarity, track, start * FINE_S, rate, information)
 
@@ -190,13 +194,17 @@ def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, int
     return rows * (2 * frames + 2 * margin) + columns, margin
 
 
-def vertex(scores: F32, peak: int) -> float:
-    """Return where the parabola through a peak and its neighbours stands, in places off it."""
+def vertex(scores: F32, peak: int) -> tuple[float, float]:
+    """Return where the parabola through a peak and its neighbours stands, off it, and how high."""
+    middle = float(scores[peak])
     if not 0 < peak < len(scores) - 1:
-        return 0.0
-    left, middle, right = (float(s) for s in scores[peak - 1 : peak + 2])
+        return 0.0, middle
+    left, right = float(scores[peak - 1]), float(scores[peak + 1])
     curvature = left - 2.0 * middle + right
-    return 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0
+    if curvature >= 0.0:
+        return 0.0, middle
+    off = 0.5 * (left - right) / curvature
+    return off, middle - 0.25 * (left - right) * off
 
 
 def best_places(scores: F32, count: int) -> I64:

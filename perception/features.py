@@ -32,6 +32,9 @@ WHITEN_BANDS = 73
 """3 octaves."""
 FLOOR = 0.2
 """The log floor stands 14 dB under the mean band power: what is quieter than that is not music."""
+LEVEL_FRAMES = 63
+"""5 s. The mean is that of the surroundings, not of the whole track: a window of a quiet beginning
+does not know how loud the track becomes."""
 PRE_EMPHASIS = 0.5
 CLIP_LOW, CLIP_HIGH = -1.5, 3.0
 
@@ -81,7 +84,8 @@ def whiten(power: F32) -> F32:
     """Return the locally whitened log of band powers, same shape."""
     if len(power) == 0:
         return power
-    log_power = np.log(power + FLOOR**2 * power.mean() + 1e-9)
+    level = _local_mean(power.mean(1, keepdims=True), LEVEL_FRAMES, 0)  # (frames, 1)
+    log_power = np.log(power + FLOOR**2 * level + 1e-9)
     centred = log_power - _local_mean(log_power, WHITEN_TIME_FRAMES, 0)
     centred = centred - _local_mean(centred, WHITEN_BANDS, 1)
     variance = _local_mean(_local_mean(centred**2, WHITEN_TIME_FRAMES, 0), WHITEN_BANDS, 1)

@@ -8,7 +8,7 @@ Measured in docs/matcher.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -30,6 +30,8 @@ SEARCH = 6
 CHECK_SEARCH = 3
 RUNNER_UP_SHARE = 0.8
 SPREAD_FLOOR = 1e-3
+REPEAT_SHARE, REPEAT_APART_S = 0.95, 0.25
+"""A place counts as a repeat if it reaches this share of the best similarity."""
 INFORMATION = 0.5
 """Mean square of features rich in notes; what is poorer is alike by chance and must pay."""
 RATE_PENALTY = 15.0
@@ -60,6 +62,7 @@ class MatchResult:
         runner_up: Best other track; empty if it is a decoy.
         runner_up_confidence: Its raw correlation.
         votes: Frames compared.
+        repeats: Other positions in the same track that fit nearly as well [s], best first.
     """
 
     track: str = ""
@@ -71,6 +74,7 @@ class MatchResult:
     runner_up: str = ""
     runner_up_confidence: float = 0.0
     votes: int = 0
+    repeats: tuple[float, ...] = ()
 
 
 class MusicMatcher(Protocol):
@@ -196,23 +200,28 @@ class AlignmentMatcher:
         ranked, chance = self._scan.search(values, RANKED)
         track_of = self._scan.track_of
         places = spread_out(ranked, track_of, CANDIDATES, PER_TRACK).tolist()
-        fits = [self._fit(values, place) for place in places]
-        for ratio in PITCHES:
-            shifted = ft.shift_pitch(values, ratio)
-            for i, place in enumerate(places[:PITCHED]):
-                fits[i] = max(fits[i], self._fit(shifted, place))
-        # Repeats inside the winning track: look at more of its places to find the best one.
-        winner = max(fits).track
+        found = {place: self._fit(values, place) for place in places}
+        heard = {1.0: values}
+        for pitch in PITCHES:
+            heard[pitch] = ft.shift_pitch(values, pitch)
+            for place in places[:PITCHED]:
+                found[place] = max(found[place], self._fit(heard[pitch], place, pitch))
+        # Repeats inside the winning track: look at more of its places, at the pitch that fits.
+        best = max(found.values())
         count = MORE_PLACES + PER_TRACK
-        more = spread_out(ranked[track_of[ranked] == winner], track_of, count, count).tolist()
-        fits += [self._fit(values, place) for place in more if place not in places]
-        return sorted(fits, reverse=True), chance
+        more = spread_out(ranked[track_of[ranked] == best.track], track_of, count, count).tolist()
+        for place in more:
+            if place not in found or found[place].pitch != best.pitch:
+                fit = self._fit(heard[best.pitch], place, best.pitch)
+                found[place] = max(found.get(place, fit), fit)
+        return sorted(found.values(), reverse=True), chance
 
-    def _fit(self, values: F32, place: int) -> Fit:
+    def _fit(self, values: F32, place: int, pitch: float = 1.0) -> Fit:
         """Align finely around a coarse place."""
         track = int(self._scan.track_of[place])
         first = FINE_PER_COARSE * (place - int(self._scan.starts[track]))
-        return self._aligner.align(values, _energy(values), track, first, SEARCH)
+        fit = self._aligner.align(values, _energy(values), track, first, SEARCH)
+        return replace(fit, pitch=pitch)
 
     def _decide(self, values: F32, fits: list[Fit], chance: float) -> MatchResult:
         best = next((fit for fit in fits if fit.track < len(self.names)), None)
@@ -235,7 +244,18 @@ class AlignmentMatcher:
             runner_up=self.names[other.track] if other is not None and is_track else "",
             runner_up_confidence=second,
             votes=len(values),
+            repeats=_repeats(best, fits),
         )
+
+
+def _repeats(best: Fit, fits: list[Fit]) -> tuple[float, ...]:
+    """Return where else in its track the best fit is nearly reached [s]."""
+    found: list[float] = []
+    for fit in fits:
+        is_near = any(abs(fit.tau_s - tau_s) < REPEAT_APART_S for tau_s in (best.tau_s, *found))
+        if fit.track == best.track and fit.similarity >= REPEAT_SHARE * best.similarity:
+            found += [] if is_near else [fit.tau_s]
+    return tuple(found)
 
 
 def _audible_features(samples: F32, sample_rate_hz: int) -> F32:

@@ -4,10 +4,14 @@ While locked, every hop checks the last second against the place where the track
 it notices a cut within half a second. Then the sound after the change is searched, hop by hop in a
 longer window, until one stands high enough. While a lock is young, longer windows may move it to
 another repeat of the passage. What slips steadily is played at another speed.
+
+A passage that the track repeats note by note has several places. The lock follows one of them and
+says that it is ambiguous until what follows differs; who was sure before a repeat stays sure.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -38,6 +42,16 @@ MAX_RATE_OFF = 0.05
 CONFIRM_S = 8.0
 """For this long after a lock, longer windows may still move it to another repeat."""
 BETTER_SIMILARITY = 0.03
+RIVALS = 6
+RIVAL_EVIDENCE = 0.3
+"""Difference of similarity, summed over hops, by which one repeat outdoes another."""
+LOCK_STD_S = 0.02
+"""Of a place just found by one window."""
+STD_FLOOR_S = 0.003
+SLIP_GAIN, SLIP_SHARE = 0.1, 0.5
+"""Checks overlap by three quarters, so the loop averages over less than it seems."""
+DRIFT = 0.002
+"""Uncertainty of the rate: seconds lost per second without a check."""
 
 
 class Lock(IntEnum):
@@ -97,12 +111,16 @@ class TrackState:
         place: Where the track is, None when lost.
         similarity: Of the last check.
         result: The last search, None if this hop needed none.
+        tau_std_s: Uncertainty of the position, of the same repeat [s]; NaN when lost.
+        ambiguous: The track repeats the passage, and nothing heard so far says which repeat plays.
     """
 
     lock: Lock = Lock.LOST
     place: Place | None = None
     similarity: float = 0.0
     result: MatchResult | None = None
+    tau_std_s: float = math.nan
+    ambiguous: bool = False
 
     @property
     def track(self) -> str:
@@ -122,6 +140,19 @@ class TrackState:
         return self.place.utime - round(self.place.tau_s / self.rate * 1e6)
 
 
+@dataclass(slots=True)
+class Rival:
+    """Another repeat of the passage.
+
+    Attributes:
+        offset_s: Where it stands, after the place of the lock [s].
+        evidence: How much less it fits, summed over hops.
+    """
+
+    offset_s: float
+    evidence: float = 0.0
+
+
 class Tracker:
     """The lock's state machine; `update` once per hop."""
 
@@ -133,6 +164,8 @@ class Tracker:
         self._usual = 0.0
         self._locked_since_utime = 0
         self._doubt: Place | None = None
+        self._rivals: list[Rival] = []
+        self._slip = 0.0  # mean square of the corrections [s^2]
 
     def update(self, ring: Ring, now: int, audible: bool) -> TrackState:
         """Judge the newest sound.
@@ -144,14 +177,23 @@ class Tracker:
         """
         place = self.state.place
         if place is None:
-            self.state = self._search(ring, now) if audible else TrackState()
+            state = self._search(ring, now) if audible else TrackState()
         elif audible:
-            self.state = self._check(ring, now, place)
+            state = self._check(ring, now, place)
         elif now - self._last_good_utime > COAST_US:
-            self.state = TrackState()
+            state = TrackState()
         else:  # a pause speaks neither for nor against the lock
-            self.state = replace(self.state, result=None)
-        return self.state
+            state = replace(self.state, result=None)
+        if state.place is not None:
+            std_s, ambiguous = self._std_s(now), bool(self._rivals)
+            state = replace(state, tau_std_s=std_s, ambiguous=ambiguous)
+        self.state = state
+        return state
+
+    def _std_s(self, now: int) -> float:
+        """Return the uncertainty of the position [s]; it grows while nothing can be checked."""
+        drift_s = DRIFT * (now - self._last_good_utime) * 1e-6
+        return math.sqrt(SLIP_SHARE * self._slip + STD_FLOOR_S**2) + drift_s
 
     # ------------------------------------------------------------------ locked
 
@@ -165,7 +207,9 @@ class Tracker:
             self._bad_hops = 0
             self._last_good_utime = now
             self._usual += USUAL_GAIN * (similarity - self._usual)
+            self._slip += SLIP_GAIN * (correction_s**2 - self._slip)
             held = place.corrected(correction_s, now, elapsed_s)
+            held = self._outdone(ring, now, held, similarity)
             return self._confirm(ring, now, TrackState(Lock.LOCKED, held, similarity))
         self._bad_hops += 1
         found = self._search_after_change(ring, now, place)
@@ -177,6 +221,24 @@ class Tracker:
             elif now - self._last_good_utime > self._coast_us():
                 return TrackState(similarity=similarity)
         return TrackState(Lock.CANDIDATE, place, similarity)
+
+    def _outdone(self, ring: Ring, now: int, held: Place, similarity: float) -> Place:
+        """Compare the newest sound with the other repeats; return the one that it speaks for."""
+        for rival in self._rivals:
+            place = replace(held, tau_s=held.tau_s + rival.offset_s)
+            rival.evidence += similarity - self._compare(ring, now, place, CHECK_S)[0]
+        self._rivals = [r for r in self._rivals if r.evidence < RIVAL_EVIDENCE]
+        best = min(self._rivals, key=lambda r: r.evidence, default=None)
+        if best is None or best.evidence > -RIVAL_EVIDENCE:
+            return held
+        # From now on the others are measured against the new place.
+        rest = [
+            Rival(r.offset_s - best.offset_s, r.evidence - best.evidence)
+            for r in self._rivals
+            if r is not best
+        ]
+        self._rivals = [r for r in rest if r.evidence < RIVAL_EVIDENCE]
+        return replace(held, tau_s=held.tau_s + best.offset_s)
 
     def _coast_us(self) -> int:
         """Return how long a lock outlives its last good check: somebody talks, applause, a break.
@@ -253,5 +315,7 @@ class Tracker:
         self._bad_hops = 0
         self._usual = result.similarity
         self._doubt = None
+        self._slip = LOCK_STD_S**2 / SLIP_SHARE
+        self._rivals = [Rival(tau_s - result.tau_s) for tau_s in result.repeats[:RIVALS]]
         place = replace(found, tau_s=found.at(now), utime=now)
         return TrackState(Lock.LOCKED, place, result.similarity, result)
