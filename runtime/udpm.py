@@ -8,7 +8,7 @@ import logging
 import secrets
 import socket
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
@@ -29,7 +29,9 @@ RECV_BUF_SIZE = 4_194_304
 MAX_PER_PUMP = 20_000
 """A flood must not keep a process from its tick."""
 AUDIO_PORT_OFFSET = 1
-"""Bulk audio has a port of its own: Linux hands a port's traffic to all groups joined on it."""
+"""Bulk audio has a group of its own, so that a network spares those who do not listen, and a port of
+its own, for Linux hands a port's traffic to all groups joined on it. The group is the neighbour of
+the main one: one route of two addresses (/31) carries both."""
 
 
 class MulticastError(BusError):
@@ -55,10 +57,21 @@ class UdpmUrl:
         """Hops; 0 keeps everything on this machine."""
         return int(self.options.get("ttl", "0"))
 
-    def text(self, port_offset: int = 0) -> str:
+    def text(self) -> str:
         """Return the URL with our buffer size, and ttl=0 unless it says otherwise."""
         options = {"ttl": "0", "recv_buf_size": str(RECV_BUF_SIZE), **self.options}
-        return f"udpm://{self.group}:{self.port + port_offset}?{urlencode(options)}"
+        return f"udpm://{self.group}:{self.port}?{urlencode(options)}"
+
+    @property
+    def audio(self) -> UdpmUrl:
+        """Where bulk audio travels."""
+        group = str(ipaddress.IPv4Address(int(ipaddress.IPv4Address(self.group)) ^ 1))
+        return replace(self, group=group, port=self.port + AUDIO_PORT_OFFSET)
+
+    @property
+    def both_groups(self) -> str:
+        """The main group and the one of audio as a network, for a route."""
+        return f"{min(self.group, self.audio.group, key=ipaddress.IPv4Address)}/31"
 
 
 def parse_udpm_url(url: str) -> UdpmUrl:
@@ -99,7 +112,7 @@ def check_multicast(url: UdpmUrl) -> None:
 def _multicast_error(url: UdpmUrl, reason: str) -> MulticastError:
     return MulticastError(
         f"LCM cannot use {url.text()}: {reason}. Give the group a route, as root: "
-        f"`ip link set lo up && ip route add {url.group}/32 dev lo`; "
+        f"`ip link set lo up && ip route add {url.both_groups} dev lo`; "
         "`downbeat demo --lockstep` works without."
     )
 
@@ -137,27 +150,31 @@ class UdpmBus(Endpoint):
         self._before: dict[str, set[int]] = {}
         self._sockets: dict[str, int | None] = {}
         self._joined: dict[str, list[str]] = {}
-        self._links: dict[str, Any] = {"main": self._connect("main", 0)}
+        self._links: dict[str, Any] = {"main": self._connect("main")}
 
-    def _connect(self, group: str, port_offset: int) -> Any:
-        check_multicast(self._url)
+    def _url_of(self, group: str) -> UdpmUrl:
+        return self._url if group == "main" else self._url.audio
+
+    def _connect(self, group: str) -> Any:
+        url = self._url_of(group)
+        check_multicast(url)
         before = channel_filter.descriptors()
         try:
-            link = lcm.LCM(self._url.text(port_offset))
+            link = lcm.LCM(url.text())
         except (OSError, RuntimeError, MemoryError, ValueError) as error:
-            raise _multicast_error(self._url, str(error) or type(error).__name__) from error
+            raise _multicast_error(url, str(error) or type(error).__name__) from error
         self._before[group] = before
         return link
 
     def _link(self, group: str) -> Any:
         if group not in self._links:
-            self._links[group] = self._connect(group, AUDIO_PORT_OFFSET)
+            self._links[group] = self._connect(group)
         return self._links[group]
 
     def _send(self, channel: str, payload: bytes) -> None:
         try:
             self._link(CHANNELS[channel].group).publish(channel, payload)
-        except OSError as error:
+        except (OSError, MulticastError) as error:  # the group of audio may have no route
             self.counters.not_sent += 1
             if self.counters.not_sent == 1:
                 log.error("not sent on %s: %s", channel, error)
@@ -172,8 +189,7 @@ class UdpmBus(Endpoint):
             # LCM opens its socket now or when it was made, and keeps it to itself: it is the new
             # one on this port.
             opened = channel_filter.descriptors() - self._before[group]
-            port = self._url.port + (0 if group == "main" else AUDIO_PORT_OFFSET)
-            self._sockets[group] = channel_filter.bound_to(opened, port)
+            self._sockets[group] = channel_filter.bound_to(opened, self._url_of(group).port)
         descriptor = self._sockets[group]
         if descriptor is not None:
             channel_filter.attach(descriptor, self._joined[group])

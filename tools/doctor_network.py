@@ -63,10 +63,11 @@ def check_loopback(flags_file: Path = Path("/sys/class/net/lo/flags")) -> CheckR
 
 
 def check_route(url: UdpmUrl, route_file: Path = Path("/proc/net/route")) -> CheckResult:
-    """The group needs a route, best over the loopback interface."""
-    fix = f"ip route add {url.group}/32 dev lo"
+    """The group, and its neighbour for audio, need a route, best over the loopback interface."""
+    fix = f"ip route add {url.both_groups} dev lo"
     try:
         check_multicast(url)
+        check_multicast(url.audio)
     except MulticastError as error:
         return fail("multicast route", str(error.__cause__), fix)
     interface = route_interface(url.group, route_file.read_text())

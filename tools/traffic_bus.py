@@ -18,7 +18,6 @@ from downbeat.runtime.bus import open_udpm, parse_udpm_url
 from downbeat.runtime.clock import WallClock
 from downbeat.runtime.errors import one_of
 from downbeat.runtime.traffic import Impairer, Injector
-from downbeat.runtime.udpm import AUDIO_PORT_OFFSET
 from downbeat.tools.errors import ToolError
 from downbeat.tools.scenario import Scenario
 from downbeat.tools.traffic_judge import Outcome, Seen, judge, judge_always
@@ -187,7 +186,7 @@ def _publish(scenario: Scenario, url: str, witness: Witness) -> int:
     parsed = parse_udpm_url(url)
     links = {"main": lcm.LCM(parsed.text())}
     if any(CHANNELS[one.channel].group == "audio" for one in injections):
-        links["audio"] = lcm.LCM(parsed.text(AUDIO_PORT_OFFSET))
+        links["audio"] = lcm.LCM(parsed.audio.text())
     end = start + round(scenario.seconds * 1e6)
     count = 0
     while (now := witness.utime()) < end:

@@ -310,12 +310,18 @@ def test_udpm_burst_while_asleep_loses_nothing_and_keeps_the_newest(free_url):
     assert receiver.counters.lost == 0
 
 
-def test_udpm_audio_has_a_port_of_its_own(free_url):
+def test_udpm_audio_has_a_group_and_a_port_of_its_own(free_url):
     clock = WallClock()
     source, listener = (open_udpm(free_url, clock, name) for name in ("source", "listener"))
     plain = lcm.LCM(parse_udpm_url(free_url).text())
     on_main = []
     plain.subscribe("AUDIO_CHUNK", lambda *event: on_main.append(event))
+    main, audio = parse_udpm_url(free_url), parse_udpm_url(free_url).audio
+    assert (audio.group, audio.port) == ("239.255.76.66", main.port + 1)
+    assert audio.audio.group == main.group and main.both_groups == "239.255.76.66/31"
+    to_audio = lcm.LCM(audio.text())
+    on_audio = []
+    to_audio.subscribe("AUDIO_CHUNK", lambda *event: on_audio.append(event))
     listener.subscribe("AUDIO_CHUNK")
     chunk = audio_chunk_t()
     chunk.sample_rate_hz, chunk.num_samples = 16_000, 160
@@ -326,6 +332,7 @@ def test_udpm_audio_has_a_port_of_its_own(free_url):
             break
     np.testing.assert_array_equal(listener.latest("AUDIO_CHUNK").msg.samples, chunk.samples)
     assert plain.handle_timeout(50) == 0 and not on_main
+    assert to_audio.handle_timeout(1000) and len(on_audio) == 1
 
 
 def test_foreign_traffic_names_the_channels(free_url):
@@ -382,5 +389,5 @@ def test_without_multicast_the_error_says_what_to_type():
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if "unshare" in result.stderr:
         pytest.skip("no right to make a network namespace")
-    assert "ip route add 239.255.76.67/32 dev lo" in result.stdout
+    assert "ip route add 239.255.76.66/31 dev lo" in result.stdout
     assert "--lockstep" in result.stdout

@@ -84,7 +84,7 @@ def test_longest_matching_route_wins():
 def test_route_over_a_cable_warns_and_says_what_to_type(tmp_path, monkeypatch):
     monkeypatch.setattr(doctor_network, "check_multicast", lambda url: None)
     result = doctor_network.check_route(DEFAULT, written(tmp_path / "route", ROUTES))
-    assert result.status == "warn" and result.fix == "ip route add 239.255.76.67/32 dev lo"
+    assert result.status == "warn" and result.fix == "ip route add 239.255.76.66/31 dev lo"
     both = written(tmp_path / "both", ROUTES + LO_ROUTE)
     assert doctor_network.check_route(DEFAULT, both).status == "ok"
 
