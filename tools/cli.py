@@ -37,6 +37,7 @@ Command = (
     | Annotated[sweep.Atlas, sub("atlas")]
     | Annotated[processes.Sim, sub("sim")]
     | Annotated[processes.Listen, sub("listen")]
+    | Annotated[processes.Source, sub("source")]
     | Annotated[processes.Conduct, sub("conduct")]
     | Annotated[processes.Speak, sub("speech")]
     | Annotated[processes.Check, sub("check")]

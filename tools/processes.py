@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def run_process(name: str, args: ProcessArgs) -> int:
     starters = {
         "sim": _sim,
         "control": _control,
-        "listener": _listener,
+        "listener": partial(_listener, is_alone=base is None),
         "conductor": _conductor,
         "speech": _speech,
     }
@@ -114,10 +115,21 @@ def _control(show: Show, bus: Bus, clock: WallClock) -> int:
     return 0
 
 
-def _listener(show: Show, bus: Bus, clock: WallClock) -> int:
-    node: Node = DeferredListener(bus, lambda start: make_listener(show, bus, start))
-    make_listener(show, bus, 2**62)  # load files and warm up now, not at the go
-    run_node(node, clock, bus)
+def _listener(show: Show, bus: Bus, clock: WallClock, is_alone: bool) -> int:
+    """Listen: to a file when the operator says so, to what is live and by itself at once."""
+    from downbeat.perception.source_spec import is_live
+
+    if not is_alone and not is_live(show.config.audio):
+        node: Node = DeferredListener(bus, lambda start: make_listener(show, bus, start))
+        make_listener(show, bus, 2**62)  # load files and warm up now, not at the go
+        run_node(node, clock, bus)
+        return 0
+    from downbeat.tools.hearing import Narrator
+
+    narrator = Narrator(lambda line: print(line, flush=True))
+    listener = make_listener(show, bus, clock.utime())
+    bus.tap = narrator
+    run_node(listener, clock, bus, should_stop=lambda: is_alone and narrator.is_finished)
     return 0
 
 

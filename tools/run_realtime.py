@@ -67,7 +67,7 @@ class Watcher:
                 self.ready.add(received.msg.process)
         for received in self.bus.take("AUDIO_SOURCE"):
             self.first_sample_utime = received.msg.first_sample_utime
-            if received.msg.state != audio_source_t.STARTED:
+            if received.msg.state == audio_source_t.FINISHED:  # a device that failed may return
                 self.has_finished_utime = now
         for received in self.bus.take("SKILL_STATUS"):
             msg = received.msg

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import tyro
+
 
 @dataclass(frozen=True)
 class ProcessArgs:
@@ -34,13 +36,29 @@ class Sim(ProcessArgs):
 
 @dataclass(frozen=True)
 class Listen(ProcessArgs):
-    """Run the listener: sound in, AUDIO_CLASS and MUSIC_MATCH out."""
+    """Run the listener: sound in, AUDIO_CLASS and MUSIC_MATCH out; by itself, it tells them."""
 
     def run(self) -> int:
         """Run until told to stop."""
         from downbeat.tools.processes import run_process
 
         return run_process("listener", self)
+
+
+@dataclass(frozen=True)
+class Source:
+    """Only hear, for a listener elsewhere whose show says audio = "chunks:" (AUDIO_CHUNK)."""
+
+    audio: tyro.conf.Positional[str]
+    """A sound file, "mic:", "mic:NAME" or "robot:INTERFACE"."""
+    url: str = ""
+    """LCM URL; empty: LCM's default group with ttl=0; another machine needs ttl=1."""
+
+    def run(self) -> int:
+        """Run until told to stop, or to the end of the file."""
+        from downbeat.tools.hearing import run_source
+
+        return run_source(self.audio, self.url)
 
 
 @dataclass(frozen=True)
