@@ -29,9 +29,9 @@ RECV_BUF_SIZE = 4_194_304
 MAX_PER_PUMP = 20_000
 """A flood must not keep a process from its tick."""
 AUDIO_PORT_OFFSET = 1
-"""Bulk audio has a group of its own, so that a network spares those who do not listen, and a port of
-its own, for Linux hands a port's traffic to all groups joined on it. The group is the neighbour of
-the main one: one route of two addresses (/31) carries both."""
+"""Bulk audio has a group of its own, so that a network spares those who do not listen, and a port
+of its own, for Linux hands a port's traffic to all groups joined on it. The group is the neighbour
+of the main one: one route of two addresses (/31) carries both."""
 
 
 class MulticastError(BusError):
