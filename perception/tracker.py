@@ -31,7 +31,9 @@ SHORTEST_S, LONGEST_S = 1.0, 5.0
 LOST_LENGTHS_S = (1.25, 2.0, 3.0, 5.0)
 LOOK_BACK_S = 0.25
 """A search begins this much before the last good check: some of that check may have been new."""
-COAST_US = 3_000_000
+COAST_US, PAUSE_US = 3_000_000, 4_000_000
+"""Through sound that is something else, and through silence: a drop-out of three seconds and the
+second that the next check needs."""
 SAME_PLACE_S = 0.08
 POSITION_GAIN, RATE_GAIN = 0.25, 0.015
 """A loop of second order, critically damped: it averages over about eight hops."""
@@ -47,7 +49,9 @@ RIVAL_EVIDENCE = 0.3
 """Difference of similarity, summed over hops, by which one repeat outdoes another."""
 LOCK_STD_S = 0.02
 """Of a place just found by one window."""
-STD_FLOOR_S = 0.003
+STD_FLOOR_S, BLUR_S = 0.003, 0.03
+"""Noise hides how notes decay, and the place looks late: the floor at similarity 1, and what is
+added down to similarity 0."""
 SLIP_GAIN, SLIP_SHARE = 0.1, 0.5
 """Checks overlap by three quarters, so the loop averages over less than it seems."""
 DRIFT = 0.002
@@ -164,6 +168,8 @@ class Tracker:
         self._usual = 0.0
         self._locked_since_utime = 0
         self._doubt: Place | None = None
+        self._now = 0
+        self._paused_us = 0  # since the last good check
         self._rivals: list[Rival] = []
         self._slip = 0.0  # mean square of the corrections [s^2]
 
@@ -180,20 +186,22 @@ class Tracker:
             state = self._search(ring, now) if audible else TrackState()
         elif audible:
             state = self._check(ring, now, place)
-        elif now - self._last_good_utime > COAST_US:
+        elif now - self._last_good_utime > PAUSE_US:
             state = TrackState()
         else:  # a pause speaks neither for nor against the lock
+            self._paused_us += now - self._now
             state = replace(self.state, result=None)
         if state.place is not None:
             std_s, ambiguous = self._std_s(now), bool(self._rivals)
             state = replace(state, tau_std_s=std_s, ambiguous=ambiguous)
-        self.state = state
+        self.state, self._now = state, now
         return state
 
     def _std_s(self, now: int) -> float:
         """Return the uncertainty of the position [s]; it grows while nothing can be checked."""
         drift_s = DRIFT * (now - self._last_good_utime) * 1e-6
-        return math.sqrt(SLIP_SHARE * self._slip + STD_FLOOR_S**2) + drift_s
+        floor_s = STD_FLOOR_S + BLUR_S * (1.0 - self._usual)
+        return math.sqrt(SLIP_SHARE * self._slip + floor_s**2) + drift_s
 
     # ------------------------------------------------------------------ locked
 
@@ -204,7 +212,7 @@ class Tracker:
             floor, share = SURE_SIMILARITY, REGAIN_SHARE
         if similarity >= max(floor, share * self._usual):
             elapsed_s = (now - self._last_good_utime) * 1e-6
-            self._bad_hops = 0
+            self._bad_hops = self._paused_us = 0
             self._last_good_utime = now
             self._usual += USUAL_GAIN * (similarity - self._usual)
             self._slip += SLIP_GAIN * (correction_s**2 - self._slip)
@@ -218,7 +226,7 @@ class Tracker:
         if self._bad_hops >= DROP_AFTER_HOPS:
             if similarity >= SURE_SIMILARITY:
                 self._usual = similarity  # quieter or noisier than before, but still this place
-            elif now - self._last_good_utime > self._coast_us():
+            elif now - self._last_good_utime - self._paused_us > self._coast_us():
                 return TrackState(similarity=similarity)
         return TrackState(Lock.CANDIDATE, place, similarity)
 
@@ -312,7 +320,7 @@ class Tracker:
     def _lock_on(self, result: MatchResult, found: Place, now: int) -> TrackState:
         self._locked_since_utime = now
         self._last_good_utime = now
-        self._bad_hops = 0
+        self._bad_hops = self._paused_us = 0
         self._usual = result.similarity
         self._doubt = None
         self._slip = LOCK_STD_S**2 / SLIP_SHARE

@@ -119,6 +119,70 @@ def test_somebody_who_talks_over_the_music_does_not_cost_the_place(matcher, musi
             assert position_s(time_s, state) == pytest.approx(time_s, abs=0.05)
 
 
+def test_a_drop_out_of_three_seconds_does_not_cost_the_place(matcher, music):
+    sound = cut(music["piece0"], 0.0, 16.0).copy()
+    sound[6 * RATE : 9 * RATE] = 0.0
+    rows = listen(matcher, sound)
+    assert all(s.place is not None and s.track == "piece0" for t, s in rows if t > 3.0)
+    back = [(t, s) for t, s in rows if t > 10.0]
+    assert all(s.lock == Lock.LOCKED for _, s in back)
+    assert all(position_s(t, s) == pytest.approx(t, abs=0.02) for t, s in back)
+
+
+def test_a_dip_of_the_volume_does_not_cost_the_lock(matcher, music):
+    sound = cut(music["piece1"], 3.0, 14.0).copy()
+    sound[6 * RATE : 8 * RATE] *= 0.1
+    rows = listen(matcher, sound)
+    assert all(s.track == "piece1" for t, s in rows if t > 3.0)
+    assert sum(s.lock == Lock.LOCKED for t, s in rows if t > 3.0) >= 0.8 * (14.0 - 3.0) / HOP_S
+    for time_s, state in rows:
+        if time_s > 3.0:
+            assert position_s(time_s, state) == pytest.approx(3.0 + time_s, abs=0.05)
+
+
+def test_a_seek_is_followed_within_two_seconds(matcher, music):
+    for from_s, to_s in ((2.0, 20.0), (24.0, 9.4)):
+        first, then = (cut(music["piece2"], start_s, 7.0) for start_s in (from_s, to_s))
+        rows = listen(matcher, np.concatenate([first, then]))
+        for time_s, state in rows:
+            if time_s >= 9.0:
+                assert state.lock == Lock.LOCKED
+                assert position_s(time_s, state) == pytest.approx(to_s + time_s - 7.0, abs=0.05)
+
+
+def test_a_loop_that_jumps_back_is_followed_within_two_seconds(matcher, music):
+    loop_s, from_s = 5.0, 11.0
+    rows = listen(matcher, np.tile(cut(music["piece1"], from_s, loop_s), 4))
+    for time_s, state in rows:
+        inside_s = (time_s - 0.001) % loop_s
+        if inside_s >= 2.0:
+            assert state.lock == Lock.LOCKED
+            assert position_s(time_s, state) == pytest.approx(from_s + inside_s, abs=0.05)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_the_uncertainty_says_how_far_the_position_is_off(matcher, music, noise):
+    errors, stds = [], []
+    for name, start_s in (("piece0", 3.3), ("piece1", 9.1), ("piece2", 15.7)):
+        sound = cut(music[name], start_s, 12.0)
+        hiss = np.random.default_rng(4).standard_normal(len(sound)).astype(np.float32)
+        for time_s, state in listen(matcher, sound + noise * hiss):
+            if state.lock == Lock.LOCKED:
+                errors.append(position_s(time_s, state) - start_s - time_s)
+                stds.append(state.tau_std_s)
+    off = np.abs(errors) / stds
+    assert np.mean(off < 2.0) > 0.9 and off.max() < 5.0
+    assert np.median(stds) < 0.03
+
+
+def test_the_uncertainty_grows_while_nothing_can_be_checked(matcher, music):
+    sound = cut(music["piece0"], 0.0, 9.0).copy()
+    sound[6 * RATE :] = 0.0
+    rows = dict(listen(matcher, sound))
+    assert rows[8.75].tau_std_s > rows[7.0].tau_std_s > 0.0
+    assert np.isnan(rows[0.25].tau_std_s)
+
+
 @pytest.fixture(scope="module")
 def song():
     """Verse 0-10 s, bridge to 20 s, the same verse to 30 s, ending."""
@@ -146,6 +210,21 @@ def test_a_repeat_taken_for_its_twin_is_corrected_where_they_part(song):
         for time_s, state in late:
             assert state.lock == Lock.LOCKED
             assert position_s(time_s, state) == pytest.approx(begin_s + time_s, abs=0.05)
+
+
+def test_a_passage_that_repeats_is_ambiguous_until_the_track_goes_on(song):
+    matcher, sound = song
+    for begin_s, part_s in ((2.0, 10.0), (22.0, 30.0)):
+        rows = listen(matcher, cut(sound, begin_s, 14.0))
+        locked = [(begin_s + t, s) for t, s in rows if s.lock == Lock.LOCKED]
+        assert all(s.ambiguous for at_s, s in locked if at_s < part_s - 0.5)
+        assert not any(s.ambiguous for at_s, s in locked if at_s > part_s + 2.0)
+
+
+def test_who_knew_the_place_before_a_repeat_knows_it_in_the_repeat(song):
+    matcher, sound = song
+    rows = listen(matcher, cut(sound, 14.0, 14.0))
+    assert not any(s.ambiguous for t, s in rows if t > 3.0)
 
 
 @pytest.mark.parametrize("speed", [0.98, 1.02])
