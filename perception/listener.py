@@ -110,8 +110,8 @@ class ListenerNode:
             self._hear(block, utime)
         self._follow_failure(utime)
         if utime >= self._next_hop_utime:
-            while self._next_hop_utime <= utime:
-                self._next_hop_utime += HOP_US
+            late_hops = (utime - self._next_hop_utime) // HOP_US
+            self._next_hop_utime += (late_hops + 1) * HOP_US
             self._analyse(utime)
         if self._source.is_finished:
             self._finished = True
