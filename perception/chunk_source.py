@@ -138,7 +138,7 @@ class ChunkSource:
         """Return what has arrived on the bus since the last read."""
         blocks: list[Block] = []
         if self._last_came is None:
-            self._last_came = utime
+            self._last_came = self._heard_utime = max(utime, self.first_sample_utime)
         for received in self._bus.take(CHANNEL):
             if received.recv_utime < self.first_sample_utime:
                 continue
