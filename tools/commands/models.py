@@ -35,12 +35,14 @@ class ExportClap:
     """A laion-clap checkpoint (.pt), a folder of a transformers ClapModel, or its hub id."""
     out: Path
     """The folder to write: audio and text towers and what they need."""
+    tokenizer: str = "roberta-base"
+    """For laion-clap, whose checkpoints hold none: folder or hub id of RoBERTa's tokeniser."""
 
     def run(self) -> int:
         """Run it; 0 if ONNX Runtime says what torch says."""
         from downbeat.tools.models_clap import export_clap_command
 
-        return export_clap_command(self.source, self.out)
+        return export_clap_command(self.source, self.out, self.tokenizer)
 
 
 @dataclass(frozen=True)
