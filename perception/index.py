@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 
 if TYPE_CHECKING:
-    from downbeat.perception.landmarks import Postings
+    from downbeat.perception.codes import CodeTable
 
 PAD_FRAMES = 16
 """Zero frames (of 40 ms) around a track, so that a window may hang over its ends."""
@@ -34,10 +34,45 @@ DECOY_SHIFT, DECOY_STEP = 10, 7
 Fine = npt.NDArray[np.int8]
 Coarse = npt.NDArray[np.int8]
 Power = npt.NDArray[np.int32]
+Landmarks = npt.NDArray[np.uint32]
+Array = npt.NDArray[Any]
+
+
+class Parts(Sequence[Array]):
+    """Tracks that lie one after the other in one array."""
+
+    def __init__(self, whole: Array, lengths: Sequence[int]) -> None:
+        """Take the array and the number of rows of each track."""
+        self.whole = whole
+        self._bounds = [0, *np.cumsum(np.asarray(lengths, np.int64)).tolist()]
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return len(self._bounds) - 1
+
+    @overload
+    def __getitem__(self, number: int) -> Array: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> list[Array]: ...
+
+    def __getitem__(self, number: int | slice) -> Array | list[Array]:
+        """Return the rows of a track."""
+        if isinstance(number, slice):
+            return [self[i] for i in range(*number.indices(len(self)))]
+        if not -len(self) <= number < len(self):
+            raise IndexError(number)
+        number %= len(self)
+        return self.whole[self._bounds[number] : self._bounds[number + 1]]
+
+
+def joined(tracks: Sequence[Array]) -> Array:
+    """Return the rows of all tracks as one array, without copying where they lie in one."""
+    return tracks.whole if isinstance(tracks, Parts) else np.concatenate(tracks)
 
 
 def coarse(values: F32) -> F32:
-    """Average 2 frames x 3 bands, (n // 2, 49): tolerant of +-4 % tempo and +-2 % pitch."""
+    """Average 2 frames x 3 bands, (n // 2, cells): tolerant of +-4 % tempo and +-2 % pitch."""
     frames = len(values) // COARSE_FRAMES
     bands = ft.NUM_BANDS // COARSE_BANDS
     cut = values[: frames * COARSE_FRAMES, : bands * COARSE_BANDS]
@@ -46,7 +81,7 @@ def coarse(values: F32) -> F32:
 
 
 def coarse_of_fine(fine: Fine) -> Coarse:
-    """Return the coarse features of a track, (n // 4, 49), on the same int8 scale."""
+    """Return the coarse features of a track, (n // 4, cells), on the same int8 scale."""
     frames = len(fine) // FINE_PER_COARSE
     bands = ft.NUM_BANDS // COARSE_BANDS
     cut = fine[: frames * FINE_PER_COARSE, : bands * COARSE_BANDS]
@@ -57,7 +92,7 @@ def coarse_of_fine(fine: Fine) -> Coarse:
 
 def power_of_fine(fine: Fine) -> Power:
     """Return the sum of squares of every frame, (n,)."""
-    values = fine.astype(np.float32)  # exact: 148 squares of 127 stay below 2 ** 24
+    values = fine.astype(np.float32)  # exact: 200 squares of 127 stay below 2 ** 24
     return np.einsum("ij,ij->i", values, values).astype(np.int32)
 
 
@@ -85,10 +120,11 @@ class Index:
     Attributes:
         names: Track names.
         fine: Per track (n, NUM_BANDS) int8, one frame every 40 ms, padded.
-        coarse: Per track (n // 4, 49) int8, one every 160 ms.
+        coarse: Per track (n // 4, cells) int8, one every 160 ms.
         power: Per track (n,) int32, sum of squares of the frames of `fine`.
         sources: Per track the digest of the file that it was made of; empty: not of a file.
-        postings: Landmarks of all tracks, if they were made already.
+        landmarks: Per track (m, 2) uint32 (landmarks.py); of the last tracks perhaps not made yet.
+        codes: Inverted index of all tracks, for large catalogues; None: not made yet.
     """
 
     names: list[str] = field(default_factory=list)
@@ -96,7 +132,8 @@ class Index:
     coarse: Sequence[Coarse] = field(default_factory=list)
     power: Sequence[Power] = field(default_factory=list)
     sources: list[str] = field(default_factory=list)
-    postings: Postings | None = None
+    landmarks: Sequence[Landmarks] = field(default_factory=list)
+    codes: CodeTable | None = None
 
     def add(self, name: str, samples: F32, sample_rate_hz: int, source: str = "") -> None:
         """Index one track.
@@ -112,7 +149,7 @@ class Index:
         self.coarse = [*self.coarse, coarse_of_fine(fine)]
         self.power = [*self.power, power_of_fine(fine)]
         self.sources.append(source)
-        self.postings = None
+        self.codes = None
 
     def subset(self, numbers: Sequence[int]) -> Index:
         """Return an index of some of the tracks, sharing their arrays."""
@@ -122,7 +159,16 @@ class Index:
             [self.coarse[i] for i in numbers],
             [self.power[i] for i in numbers],
             [self.sources[i] for i in numbers],
+            [self.landmarks[i] for i in numbers] if len(self.landmarks) == len(self.names) else [],
         )
+
+    def all_landmarks(self) -> Sequence[Landmarks]:
+        """Return the landmarks of all tracks; those that are missing are made."""
+        from downbeat.perception.landmarks import landmarks_of
+
+        if missing := range(len(self.landmarks), len(self.names)):
+            self.landmarks = [*self.landmarks, *(landmarks_of(self.fine[i]) for i in missing)]
+        return self.landmarks
 
     def save(self, path: Path) -> None:
         """Write the index; a reader sees the old file or the new one, never a part."""

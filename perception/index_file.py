@@ -15,17 +15,18 @@ import struct
 import zlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, overload
+from typing import Any, BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
+from downbeat.perception import codes as cd
 from downbeat.perception import features as ft
 from downbeat.perception import index as ix
 from downbeat.perception import landmarks as lm
+from downbeat.perception.candidates import MAX_SCANNED_TRACKS
+from downbeat.perception.codes import CodeTable, make_code_table
 from downbeat.perception.errors import PerceptionError
-from downbeat.perception.index import Fine, Index
-from downbeat.perception.landmarks import Postings
+from downbeat.perception.index import Array, Index, Parts
 
 MAGIC = b"downbeat index\n\x1a"
 VERSION = 3
@@ -37,50 +38,37 @@ EAGER_BYTES = 256 << 20
 """Features up to this size are checked when the file is opened: 11 ms per 75 MB."""
 REMEDY = "`downbeat catalog build` makes one"
 
-Section = npt.NDArray[Any]
+NO_CODES = CodeTable(np.zeros(0, np.uint32), np.zeros(0, np.uint32))
 
 
 def features_fingerprint() -> int:
     """Return a number that changes when features or landmarks would."""
     constants = [
         *(getattr(ft, name) for name in sorted(vars(ft)) if name.isupper() and name != "F32"),
-        ix.PAD_FRAMES, ix.QUANTUM, ix.COARSE_FRAMES, ix.COARSE_BANDS, lm.CONSTANTS,
+        ix.PAD_FRAMES, ix.QUANTUM, ix.COARSE_FRAMES, ix.COARSE_BANDS, lm.CONSTANTS, cd.CONSTANTS,
     ]  # fmt: skip
     return zlib.crc32(repr(constants).encode())
 
 
-class CheckedTracks(Sequence[Fine]):
+class CheckedParts(Parts):
     """Parts of one mapped array, each held against its checksum when it is first asked for."""
 
-    def __init__(self, whole: Fine, frames: Sequence[int], checks: Sequence[int], path: Path):
-        """Take the array, (n, NUM_BANDS), and frames and checksum of each track."""
-        self._bounds = np.concatenate([[0], np.cumsum(np.asarray(frames, np.int64))]).tolist()
-        self._whole, self._checks, self._path = whole, checks, path
-        self._is_good = bytearray(len(frames))
+    def __init__(
+        self, whole: Array, lengths: Sequence[int], checks: Sequence[int], path: Path
+    ) -> None:
+        """Take the array, rows and checksum of each track, and the file, for the error."""
+        super().__init__(whole, lengths)
+        self._checks, self._path = checks, path
+        self._is_good = bytearray(len(lengths))
 
-    def __len__(self) -> int:
-        """Return the number of tracks."""
-        return len(self._is_good)
-
-    @overload
-    def __getitem__(self, number: int) -> Fine: ...
-
-    @overload
-    def __getitem__(self, number: slice) -> list[Fine]: ...
-
-    def __getitem__(self, number: int | slice) -> Fine | list[Fine]:
-        """Return the features of a track.
+    def __getitem__(self, number: Any) -> Any:
+        """Return the rows of a track.
 
         Raises:
             PerceptionError: They are damaged.
         """
-        if isinstance(number, slice):
-            return [self[i] for i in range(*number.indices(len(self)))]
-        if not -len(self) <= number < len(self):
-            raise IndexError(number)
-        number %= len(self)
-        part = self._whole[self._bounds[number] : self._bounds[number + 1]]
-        if not self._is_good[number]:
+        part = super().__getitem__(number)
+        if not isinstance(number, slice) and not self._is_good[number]:
             if zlib.crc32(part) != self._checks[number]:
                 raise PerceptionError(
                     f"Track number {number} of {self._path} is damaged; {REMEDY}."
@@ -110,7 +98,9 @@ def write_index(index: Index, path: Path) -> None:
 
 def _write(index: Index, file: BinaryIO) -> None:
     file.write(bytes(HEAD.size))
-    postings = index.postings or lm.make_postings(index.fine)
+    landmarks = index.all_landmarks()
+    is_large = len(index.names) > MAX_SCANNED_TRACKS
+    codes = (index.codes or make_code_table(index.coarse)) if is_large else NO_CODES
     sections: dict[str, list[Any]] = {}
     frames = [len(fine) for fine in index.fine]
     shape = (sum(frames), ft.NUM_BANDS)
@@ -118,13 +108,14 @@ def _write(index: Index, file: BinaryIO) -> None:
     for name, parts, kind, columns in (
         ("power", index.power, "<i4", ()),
         ("coarse", index.coarse, "<i1", (ft.NUM_BANDS // ix.COARSE_BANDS,)),
-        ("keys", [postings.keys], "<u4", ()),
-        ("starts", [postings.starts], "<u4", ()),
-        ("places", [postings.places], "<u4", ()),
+        ("landmarks", landmarks, "<u4", (2,)),
+        ("code_starts", [codes.starts], "<u4", ()),
+        ("code_places", [codes.places], "<u4", ()),
     ):
         shape = (sum(len(part) for part in parts), *columns)
         sections[name], _ = _write_section(file, parts, kind, shape)
-    tracks = [list(row) for row in zip(index.names, index.sources, frames, checks)]
+    counts = [len(found) for found in landmarks]
+    tracks = [list(row) for row in zip(index.names, index.sources, frames, counts, checks)]
     table = json.dumps({"tracks": tracks, "sections": sections}, ensure_ascii=False).encode()
     at = file.tell()
     file.write(table)
@@ -137,7 +128,7 @@ def _write(index: Index, file: BinaryIO) -> None:
 
 
 def _write_section(
-    file: BinaryIO, parts: Iterable[Section], kind: str, shape: tuple[int, ...]
+    file: BinaryIO, parts: Iterable[Array], kind: str, shape: tuple[int, ...]
 ) -> tuple[list[Any], list[int]]:
     """Write arrays one after the other; return the row of the table, and a checksum of each."""
     at, whole, checks = file.tell(), 0, []
@@ -194,7 +185,7 @@ def _read_table(data: mmap.mmap | bytes, path: Path) -> dict[str, Any]:
 
 
 def _map(data: mmap.mmap | bytes, table: dict[str, Any], path: Path) -> Index:
-    sections: dict[str, Section] = {}
+    sections: dict[str, Array] = {}
     for name, (at, kind, shape, check) in table["sections"].items():
         count = int(np.prod(shape, dtype=np.int64))
         part = np.frombuffer(data, kind, count, at).reshape(shape)
@@ -203,23 +194,20 @@ def _map(data: mmap.mmap | bytes, table: dict[str, Any], path: Path) -> Index:
         if not is_lazy and zlib.crc32(part) != check or any(data[stop : stop + -stop % ALIGN]):
             raise _damaged(path)
         sections[name] = part
-    names, sources, frames, checks = (list(column) for column in zip(*table["tracks"]))
-    tracks = CheckedTracks(sections["fine"], frames, checks, path)
-    fine = tracks if sections["fine"].nbytes > EAGER_BYTES else _split(sections["fine"], frames)
+    names, sources, frames, counts, checks = (list(column) for column in zip(*table["tracks"]))
+    is_lazy = sections["fine"].nbytes > EAGER_BYTES
+    codes = CodeTable(sections["code_starts"], sections["code_places"])
     return Index(
         names,
-        fine,
-        _split(sections["coarse"], [n // ix.FINE_PER_COARSE for n in frames]),
-        _split(sections["power"], frames),
+        CheckedParts(sections["fine"], frames, checks, path)
+        if is_lazy
+        else Parts(sections["fine"], frames),
+        Parts(sections["coarse"], [n // ix.FINE_PER_COARSE for n in frames]),
+        Parts(sections["power"], frames),
         sources,
-        Postings(sections["keys"], sections["starts"], sections["places"]),
+        Parts(sections["landmarks"], counts),
+        codes if len(codes.starts) else None,
     )
-
-
-def _split(whole: Section, lengths: Sequence[int]) -> list[Section]:
-    """Return views of the parts of an array."""
-    bounds = [0, *np.cumsum(lengths).tolist()]
-    return [whole[first:stop] for first, stop in zip(bounds, bounds[1:])]
 
 
 def _damaged(path: Path) -> PerceptionError:
