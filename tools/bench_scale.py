@@ -1,0 +1,228 @@
+"""What a catalogue of 100, 1,000 and 10,000 tracks costs, and what is still recognised in it.
+
+python -m downbeat.tools.bench_scale --tracks DIR [--speech DIR] [--sizes 100 1000 10000]
+
+Queries are windows of 5 s of real recordings, alone, in the conditions of `downbeat eval chunks`. A
+quarter of the recordings is left out of the catalogue: windows of those must be refused.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track as progress
+from rich.table import Table
+
+from downbeat.perception import features as ft
+from downbeat.perception.constellation import ConstellationMatcher
+from downbeat.perception.index import Index
+from downbeat.perception.matcher import AlignmentMatcher, MusicMatcher
+from downbeat.perception.source import Recording
+from downbeat.tools.bench_scale_tracks import make_index
+from downbeat.tools.chunks_make import Query, clean_queries, degraded_queries
+from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
+from downbeat.tools.conditions import degradations
+from downbeat.tools.matcher_sounds import load_folder, make_babble
+
+ALL_SCANNED = 10**9
+LEFT_OUT_EVERY = 4
+"""Each so-manieth recording is left out of the catalogue."""
+ALIGNMENT, PROPOSED, CONSTELLATION = "every place", "proposed", "constellation"
+
+
+@dataclass(frozen=True)
+class Args:
+    """Measure large catalogues."""
+
+    tracks: Path
+    """Folder of music."""
+    speech: Path | None = None
+    """Folder of voices, for the robot's microphone."""
+    sizes: tuple[int, ...] = (100, 1_000, 10_000)
+    """Tracks in the catalogue; what the folder lacks is made of pieces of it."""
+    seconds: float = 120.0
+    """Length of a track that is made [s]."""
+    only: tuple[str, ...] = ("clean", "robot", "tempo-4%", "tempo+4%", "pitch-4%", "pitch+4%",
+                             "speed-4%", "speed+4%")  # fmt: skip
+    """Conditions."""
+    per_condition: int = 1
+    """Windows per recording and condition."""
+    scan_up_to: int = 1_000
+    """Also compare every place, and ask the constellation matcher, up to this size."""
+    json: bool = False
+    """Print one JSON object on standard output."""
+
+
+@dataclass
+class Row:
+    """One catalogue, asked in one way.
+
+    Attributes:
+        tracks: In the catalogue.
+        hours: Of music.
+        search: How places are found.
+        file_mb: The index on disk.
+        load_ms: Until the first query can be asked, file cached [ms].
+        memory_mb: Of the process, beyond the mapped file.
+        p50_ms: Of a query, CPU time.
+        p99_ms: The same.
+        conditions: Shares of `ConditionScore`, by name.
+        false_accepts: Windows of recordings that the catalogue lacks.
+    """
+
+    tracks: int
+    hours: float
+    search: str
+    file_mb: float
+    load_ms: float = 0.0
+    memory_mb: float = 0.0
+    p50_ms: float = 0.0
+    p99_ms: float = 0.0
+    conditions: dict[str, dict[str, float]] = field(default_factory=dict)
+    false_accepts: dict[str, float | list[str]] = field(default_factory=dict)
+
+
+def own_memory_mb() -> float:
+    """Return the memory of this process that is no file [MB]."""
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+        if line.startswith("RssAnon"):
+            return float(line.split()[1]) / 1024.0
+    return float("nan")
+
+
+def measure(
+    row: Row,
+    load: Callable[[], MusicMatcher],
+    known: Sequence[Query],
+    unknown: Sequence[Query],
+    places: Places,
+) -> None:
+    """Load a catalogue, ask all queries, fill in the row."""
+    gc.collect()
+    before = own_memory_mb()
+    begin = time.process_time()
+    matcher = load()
+    row.load_ms = (time.process_time() - begin) * 1e3
+    scores: dict[str, ConditionScore] = {}
+    spent: list[float] = []
+    for query in known:
+        begin = time.process_time()
+        result = matcher.query(query.samples, ft.SAMPLE_RATE_HZ)
+        spent.append((time.process_time() - begin) * 1e3)
+        places.judge(query, result, scores.setdefault(query.condition, ConditionScore()))
+    refused = FalseAccepts()
+    for query in unknown:
+        refused.add(query, matcher.query(query.samples, ft.SAMPLE_RATE_HZ))
+    row.memory_mb = own_memory_mb() - before
+    row.p50_ms, row.p99_ms = (float(v) for v in np.percentile(spent, (50, 99)))
+    row.conditions = {name: score.shares() for name, score in scores.items()}
+    row.false_accepts = refused.shares()
+
+
+def make_queries(
+    recordings: Sequence[Recording], args: Args, is_quiet: bool
+) -> dict[str, list[Query]]:
+    """Return the queries of each recording, at the matcher's rate."""
+    voices = [] if args.speech is None else load_folder(args.speech).values()
+    rate = recordings[0].sample_rate_hz
+    babble = make_babble([v.samples for v in voices], 30.0, rate) if voices else None
+    wanted = [d for d in degradations(babble) if d.name in args.only]
+    queries: dict[str, list[Query]] = {}
+    for recording in progress(recordings, "queries", disable=is_quiet, transient=True):
+        own = queries.setdefault(recording.name, [])
+        for degradation in wanted:
+            if degradation.name == "clean":
+                made = list(clean_queries(recording, args.per_condition))[::5][: args.per_condition]
+            else:
+                made = list(degraded_queries(recording, degradation, args.per_condition, 7))
+            own += [_at_matcher_rate(q, rate) for q in made if not q.is_silent]
+    return queries
+
+
+def _at_matcher_rate(query: Query, rate: int) -> Query:
+    samples = ft.to_matcher_rate(query.samples, rate)
+    return Query(
+        query.condition, query.track, query.start_s, query.shift_s, samples, query.is_silent
+    )
+
+
+def run(args: Args) -> list[Row]:
+    """Measure catalogues of every size."""
+    is_quiet = args.json or not sys.stderr.isatty()
+    recordings = list(load_folder(args.tracks).values())
+    queries = make_queries(recordings, args, is_quiet)
+    real, unknown, known = Index(), [], []
+    references: dict[str, ft.F32] = {}
+    for number, recording in enumerate(recordings):
+        if number % LEFT_OUT_EVERY == LEFT_OUT_EVERY - 1:
+            unknown += queries[recording.name]
+            continue
+        known += queries[recording.name]
+        references[recording.name] = ft.to_matcher_rate(recording.samples, recording.sample_rate_hz)
+        real.add(recording.name, references[recording.name], ft.SAMPLE_RATE_HZ)
+    del recordings
+    places = Places(references)
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for size in args.sizes:
+            is_small = size <= args.scan_up_to
+            index = make_index(real, size, args.seconds, is_small)
+            path = Path(folder) / "index.bin"
+            index.save(path)
+            ways: dict[str, Callable[[], MusicMatcher]] = {
+                PROPOSED: lambda p=path: AlignmentMatcher(Index.load(p), 0),
+            }
+            if is_small:
+                ways[ALIGNMENT] = lambda p=path: AlignmentMatcher(Index.load(p), ALL_SCANNED)
+                ways[CONSTELLATION] = lambda p=path: ConstellationMatcher(Index.load(p))
+            hours = sum(len(power) for power in index.power) * ft.HOP_S / 2.0 / 3600.0
+            file_mb = path.stat().st_size / 2**20
+            del index
+            for name, load in ways.items():
+                rows.append(Row(size, hours, name, file_mb))
+                measure(rows[-1], load, known, unknown, places)
+                if not args.json:
+                    print_row(rows[-1])
+    return rows
+
+
+def print_row(row: Row) -> None:
+    """Print one row as soon as it is measured."""
+    table = Table(
+        "tracks", "hours", "search", "file MB", "load ms", "memory MB", "p50 ms", "p99 ms"
+    )
+    table.add_row(
+        f"{row.tracks}", f"{row.hours:.1f}", row.search, f"{row.file_mb:.0f}", f"{row.load_ms:.0f}",
+        f"{row.memory_mb:.0f}", f"{row.p50_ms:.1f}", f"{row.p99_ms:.1f}",
+    )  # fmt: skip
+    Console(width=100).print(table)
+    for name, shares in row.conditions.items():
+        print(
+            f"  {name:10s} n {shares['n']:4.0f}  right track {shares['top1']:.1%}, "
+            f"right place {shares['right']:.1%}, accepted {shares['accepted']:.1%}"
+        )
+    false = row.false_accepts
+    print(f"  false accepts {false['rate']:.2%} of {false['n']} (below {false['upper95']:.2%})")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Measure and print."""
+    args = tyro.cli(Args)
+    rows = run(args)
+    if args.json:
+        print(json.dumps([asdict(row) for row in rows]))
+
+
+if __name__ == "__main__":
+    main()
