@@ -12,7 +12,7 @@ $(STAMP): pyproject.toml constraints.txt requirements-speech.txt
 	@$(PYTHON) -c 'import sys; sys.exit(f"Downbeat needs Python >= 3.11, {sys.executable} is {sys.version.split()[0]}; say e.g. make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
-	$(BIN)/uv pip install --quiet --python $(BIN)/python --constraints constraints.txt -e '.[dev,speech]'
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --constraints constraints.txt -e '.[dev,listen,speech]'
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps -r requirements-speech.txt
 	@touch $@
 

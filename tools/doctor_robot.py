@@ -179,16 +179,18 @@ def check_audio(cards_file: Path = Path("/proc/asound/cards")) -> CheckResult:
         import sounddevice
 
         devices = sounddevice.query_devices()
-        inputs = sum(device["max_input_channels"] > 0 for device in devices)
+        names = [device["name"] for device in devices if device["max_input_channels"] > 0]
+        inputs = len(names)
         outputs = sum(device["max_output_channels"] > 0 for device in devices)
     except (ImportError, OSError) as error:
         return warn(
             "audio devices",
             f"PortAudio is not usable ({error}): sound from files and from the robot only",
-            "apt-get install libportaudio2 && pip install sounddevice",
+            "apt-get install libportaudio2 && pip install 'downbeat[listen]'",
         )
     if inputs and outputs:
-        return ok("audio devices", f"{inputs} inputs, {outputs} outputs")
+        listed = ", ".join(f'"mic:{name}"' for name in names)
+        return ok("audio devices", f"{inputs} inputs ({listed}), {outputs} outputs")
     cards = cards_file.exists() and "no soundcards" not in cards_file.read_text()
     return warn(
         "audio devices",
