@@ -145,7 +145,7 @@ def _rhythm(mel: F32) -> F32:
     onsets = rises.reshape(len(rises), RHYTHM_BANDS, -1).mean(axis=2)  # (T, 4)
     peaks = np.sort(onsets, axis=0)
     mean = onsets.mean(axis=0) + 1e-6
-    shape = np.concatenate([mean, np.log(peaks[-len(peaks) // 20 :].mean(axis=0) / mean)])
+    shape = np.concatenate([mean, np.log((peaks[-len(peaks) // 20 :].mean(axis=0) + 1e-6) / mean)])
     centred = onsets - mean
     size = 2 * len(centred)
     spectrum = np.abs(scipy.fft.rfft(centred, size, axis=0)) ** 2

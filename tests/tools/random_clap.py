@@ -73,8 +73,8 @@ def make_clap_model(folder: Path) -> tuple[Any, Any, Any]:
     return model, extractor, make_tokenizer(folder)
 
 
-def make_laion_checkpoint(path: Path) -> Any:
-    """Save a checkpoint as laion-clap's training does, of HTSAT-tiny; return its model."""
+def make_laion_checkpoint(path: Path, architecture: str) -> Any:
+    """Save a checkpoint as laion-clap's training does; return its model."""
     import torch
     from transformers import RobertaConfig
 
@@ -85,7 +85,7 @@ def make_laion_checkpoint(path: Path) -> Any:
         vocab_size=VOCABULARY, num_hidden_layers=2, max_position_embeddings=514,
         type_vocab_size=1, layer_norm_eps=1e-5, attn_implementation="eager",
     )  # fmt: skip
-    model = build_model("HTSAT-tiny", text)[0].eval()
+    model = build_model(architecture, text)[0].eval()
     shake(model, 6)
     weights = {f"module.{name}": value for name, value in model.state_dict().items()}
     weights["module.text_branch.embeddings.position_ids"] = torch.arange(514)[None]

@@ -26,6 +26,7 @@ def needs(*packages: str) -> None:
             pytest.skip(f"{package} is not installed (extra `models`, requirements-clap.txt)")
 
 
+@pytest.mark.slow  # importing librosa
 def test_front_end_agrees_with_librosa_within_a_thousandth_of_a_decibel():
     import librosa
 
@@ -89,13 +90,14 @@ def test_clap_model_of_transformers_is_exported_with_parity(tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_laion_clap_checkpoint_is_exported_with_parity(tmp_path, capsys):
+@pytest.mark.parametrize("architecture", ["HTSAT-tiny", "HTSAT-base"])
+def test_laion_clap_checkpoint_is_exported_with_parity(tmp_path, capsys, architecture):
     needs("torch", "transformers", "tokenizers", "laion_clap", "torchlibrosa", "h5py")
     import torch
 
     from downbeat.tools.models_clap import export_clap_command
 
-    model = rc.make_laion_checkpoint(tmp_path / "laion.pt")
+    model = rc.make_laion_checkpoint(tmp_path / "laion.pt", architecture)
     tokenizer = rc.make_tokenizer(tmp_path / "words")
     arguments = (str(tmp_path / "laion.pt"), tmp_path / "clap", str(tmp_path / "words"))
     assert export_clap_command(*arguments) == 0

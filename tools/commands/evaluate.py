@@ -144,14 +144,106 @@ class Chunks:
 
 
 @dataclass(frozen=True)
+class Sections:
+    """Hear the cuts of mashups without knowing any of their tracks."""
+
+    tracks: Path
+    """Folder of audio files (wav, flac, ogg, mp3); those under 31 s are left out."""
+    section_seconds: tuple[float, ...] = (20.0, 30.0)
+    """Lengths of sections [s]."""
+    mashups: int = 20
+    """Mashups of six sections for each length."""
+    seed: int = 0
+    """Chooses tracks, passages and levels."""
+    json: bool = False
+    """Print the score as one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Run it; 0."""
+        from downbeat.tools.eval_sections import eval_sections
+
+        return eval_sections(
+            self.tracks, self.section_seconds, self.mashups, self.seed, self.json
+        )
+
+
+@dataclass(frozen=True)
+class Router:
+    """Tell windows of music, songs, speech, speech over music, and other sounds apart."""
+
+    music: Path | None = None
+    """Folder of music."""
+    songs: Path | None = None
+    """Folder of music with singing, a class of its own."""
+    speech: Path | None = None
+    """Folder of voices; they are heard over the music, too."""
+    other: Path | None = None
+    """Folder of sounds that are neither."""
+    model: Path | None = None
+    """What `downbeat models export ast` wrote; omitted: the embedded router."""
+    per_source: int = 12
+    """Windows of 5 s per recording at most."""
+    seed: int = 7
+    """Of rooms and mixtures."""
+    json: bool = False
+    """Print the table as one JSON object on standard output; shares are 0..1."""
+
+    def run(self) -> int:
+        """Run it; 0."""
+        from downbeat.tools.eval_router import RouterOptions, eval_router
+
+        options = RouterOptions(
+            self.music, self.songs, self.speech, self.other, self.model, self.per_source, self.seed
+        )
+        return eval_router(options, self.json)
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """Ask for music that the catalogue has not: is the most similar track of the same group?"""
+
+    tracks: Path
+    """Folder of audio files (wav, flac, ogg, mp3); each in turn is taken out of the catalogue."""
+    groups: Path
+    """Tab-separated file (track, group): same game, composer or sample bank."""
+    seconds: float = 5.0
+    """Length of a query [s]; at least 5."""
+    condition: str = "clean"
+    """What is done to queries, as in `eval chunks`."""
+    speech: Path | None = None
+    """Folder of voices, for the conditions with babble and for `robot`."""
+    clap: Path | None = None
+    """Folder of an exported CLAP instead of the embedded descriptor."""
+    seed: int = 0
+    """Of noise and bootstrap."""
+    json: bool = False
+    """Print the report as one JSON object on standard output; shares are 0..1."""
+
+    def run(self) -> int:
+        """Run it; 0."""
+        from downbeat.tools.eval_likeness import LikenessOptions, eval_likeness
+
+        return eval_likeness(
+            LikenessOptions(
+                self.tracks, self.groups, self.seconds, self.condition, self.speech, self.clap,
+                self.seed,
+            ),
+            self.json,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Eval:
     """Evaluate: `mashup` (M20, M30 of the paper), `chunks` (single windows), `beat`, `speech`."""
 
     what: (
         Annotated[Mashup, tyro.conf.subcommand("mashup")]
         | Annotated[Chunks, tyro.conf.subcommand("chunks")]
+        | Annotated[Sections, tyro.conf.subcommand("sections")]
         | Annotated[Beat, tyro.conf.subcommand("beat")]
         | Annotated[Speech, tyro.conf.subcommand("speech")]
+        | Annotated[Likeness, tyro.conf.subcommand("likeness")]
+        | Annotated[Router, tyro.conf.subcommand("router")]
     )
 
     def run(self) -> int:

@@ -1,0 +1,335 @@
+"""`downbeat eval likeness`: does unknown music get the skill of music like it?
+
+Every track in turn is unknown: it is taken out of the catalogue and asked for, window by window.
+Two tracks of one group (game, composer, sound bank) should get the same skill, so the measure is
+the share of windows whose nearest other track is of the own group, against what drawing a track
+blindly gives. Groups are the only judgement of likeness that comes with recordings; they are
+coarse, and nobody asked an audience. Besides: how high the own group ranks altogether, whether two
+halves of one track agree about all the others, and whether a half finds the other one.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import kendalltau
+
+from downbeat.perception.clap_model import ClapModel
+from downbeat.perception.features import F32
+from downbeat.perception.likeness import Embedder, is_sounding, unit
+from downbeat.perception.likeness_build import embed_recording
+from downbeat.perception.likeness_embedded import EmbeddedDescriptor
+from downbeat.perception.likeness_store import LikenessTable
+from downbeat.perception.source import Recording, audio_files, load_recording
+from downbeat.runtime.errors import one_of
+from downbeat.tools.conditions import degradations
+from downbeat.tools.errors import ToolError
+
+F64 = npt.NDArray[np.float64]
+QUERIES = 8
+"""Per track, evenly spread."""
+BOOTSTRAP = 2000
+DEGRADED_RATE_HZ = 16_000
+"""What the robot hears; other sound is asked for at the rate of its file."""
+
+
+@dataclass(frozen=True)
+class LikenessOptions:
+    """What `downbeat eval likeness` was asked."""
+
+    tracks: Path
+    groups: Path
+    seconds: float = 5.0
+    condition: str = "clean"
+    speech: Path | None = None
+    clap: Path | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What one embedder makes of a folder.
+
+    Attributes:
+        groups: Per track its group.
+        tables: Of whole tracks, first halves, second halves; windows (n, dim) per track.
+        queries: Unit vectors, (q, dim).
+        owners: Per query the number of its track.
+        query_ms: Per query the time of one core [ms].
+    """
+
+    groups: list[str]
+    tables: tuple[LikenessTable, LikenessTable, LikenessTable]
+    queries: F32
+    owners: npt.NDArray[np.int64]
+    query_ms: list[float]
+
+
+def eval_likeness(options: LikenessOptions, as_json: bool) -> int:
+    """`downbeat eval likeness`."""
+    groups = read_groups(options.groups)
+    recordings = _recordings(options.tracks, groups)
+    embedder: Embedder = ClapModel(options.clap) if options.clap else EmbeddedDescriptor()
+    heard = hear(recordings, groups, embedder, options)
+    report = {
+        "backend": embedder.name, "condition": options.condition, "seconds": options.seconds,
+        **score(heard, options.seed),
+    }  # fmt: skip
+    if as_json:
+        print(json.dumps(report))
+    else:
+        _print(report)
+    return 0
+
+
+def read_groups(path: Path) -> dict[str, str]:
+    """Return the group of each track of a tab-separated file (track, group).
+
+    Raises:
+        ToolError: The file is missing, or a line is something else.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ToolError(f"{path} cannot be read: {error}.") from error
+    groups: dict[str, str] = {}
+    for number, line in enumerate(lines, 1):
+        cells = line.split("\t")
+        if not line.strip():
+            continue
+        if len(cells) < 2 or not cells[0] or not cells[1].strip():
+            raise ToolError(f"{path}:{number} is '{line}'; expected: track, tab, group.")
+        groups[cells[0]] = cells[1].strip()
+    return groups
+
+
+def _recordings(folder: Path, groups: Mapping[str, str]) -> list[Recording]:
+    found = [load_recording(p) for p in audio_files(folder) if p.stem in groups]
+    found = [r for r in found if r.duration_s >= 20.0 and is_sounding(r.samples)]
+    if len(found) < 3:
+        raise ToolError(
+            f"{folder} holds {len(found)} recordings of 20 s or more that the groups name; "
+            "at least 3 are needed."
+        )
+    return found
+
+
+def hear(
+    recordings: list[Recording],
+    groups: Mapping[str, str],
+    embedder: Embedder,
+    options: LikenessOptions,
+) -> Heard:
+    """Embed whole tracks, their halves, and the queries."""
+    degrade = _condition(options)
+    tables = tuple(LikenessTable(embedder.digest) for _ in range(3))
+    queries, owners, times = [], [], []
+    for number, recording in enumerate(recordings):
+        half, rate = len(recording.samples) // 2, recording.sample_rate_hz
+        parts = (recording.samples[:half], recording.samples[half:])
+        vectors = [embed_recording(embedder, Recording(recording.name, p, rate)) for p in parts]
+        if any(v is None for v in vectors):
+            continue
+        for table, rows in zip(tables, (np.concatenate(vectors), *vectors), strict=True):
+            table.names.append(recording.name)
+            table.sounds.append("")
+            table.vectors.append(rows)
+        rng = np.random.default_rng([options.seed, number])
+        for piece in _pieces(recording, options.seconds):
+            sound, sound_rate = degrade(piece, rate, rng)
+            began = time.process_time()
+            vector = _query(embedder, sound, sound_rate)
+            times.append(1e3 * (time.process_time() - began))
+            queries.append(vector)
+            owners.append(len(tables[0].names) - 1)
+    own = [groups[name] for name in tables[0].names]
+    return Heard(own, tables, np.array(queries, np.float32), np.array(owners), times)
+
+
+def _pieces(recording: Recording, seconds: float) -> list[F32]:
+    length = round(seconds * recording.sample_rate_hz)
+    last = max(0, len(recording.samples) - length)
+    starts = np.linspace(0.02 * last, 0.98 * last, QUERIES).astype(int)
+    pieces = [recording.samples[s : s + length] for s in starts]
+    return [p for p in pieces if is_sounding(p)]
+
+
+def _query(embedder: Embedder, sound: F32, rate: int) -> F32:
+    """Return the unit vector of a query, as the listener makes it: the mean of its windows."""
+    window = round(embedder.window_s * rate)
+    count = max(1, len(sound) // window)
+    rows = [embedder.embed(sound[i * window : (i + 1) * window], rate) for i in range(count)]
+    return unit(np.mean(rows, axis=0))
+
+
+def _condition(options: LikenessOptions) -> Callable[..., tuple[F32, int]]:
+    if options.condition == "clean":
+        return lambda sound, rate, _rng: (sound, rate)
+    babble = None if options.speech is None else babble_of(options.speech)
+    known = {d.name: d for d in degradations(babble)}
+    if options.condition not in known:
+        more = "" if options.speech else "; `robot` and babble need --speech"
+        raise ToolError(f"No condition '{options.condition}'; there are {one_of(known)}{more}.")
+    apply = known[options.condition].apply
+
+    def degrade(sound: F32, rate: int, rng: np.random.Generator) -> tuple[F32, int]:
+        at_robot = to_rate(sound, rate)
+        return np.resize(apply(at_robot, DEGRADED_RATE_HZ, rng), len(at_robot)), DEGRADED_RATE_HZ
+
+    return degrade
+
+
+def babble_of(folder: Path) -> F32:
+    """Return all voices of a folder at once, 30 s at 16 kHz, (n,)."""
+    total = np.zeros(30 * DEGRADED_RATE_HZ, np.float32)
+    for path in audio_files(folder)[:8]:
+        voice = load_recording(path)
+        sound = to_rate(voice.samples, voice.sample_rate_hz)
+        total += np.resize(sound / (np.std(sound) + 1e-9), len(total))
+    return total
+
+
+def to_rate(samples: F32, sample_rate_hz: int) -> F32:
+    """Resample to 16 kHz."""
+    import soxr
+
+    return np.asarray(soxr.resample(samples, sample_rate_hz, DEGRADED_RATE_HZ), np.float32)
+
+
+def score(heard: Heard, seed: int) -> dict[str, Any]:
+    """Return the report; shares are 0..1, `ci95` are bootstrap intervals over tracks."""
+    rng = np.random.default_rng(seed)
+    group = np.array(heard.groups)
+    tracks = len(group)
+    scores = np.array([heard.tables[0].scores(q) for q in heard.queries])  # (q, tracks)
+    alone = np.array([np.sum(group == g) < 2 for g in group])
+    top1, chance, order = _per_track(scores, heard.owners, group, alone)
+    halves = _halves(heard)
+    own = _own_half(heard)
+    times = np.percentile(heard.query_ms, (50, 99))
+    return {
+        "tracks": tracks,
+        "queries": len(heard.owners),
+        "group_top1": _summary(top1, rng, float(np.mean(chance))),
+        "group_top1_by_group": {
+            str(g): round(float(np.mean(top1[group[~alone] == g])), 3)
+            for g in np.unique(group[~alone])
+        },
+        "group_top1_above_chance": _summary(top1 - chance, rng, 0.0),
+        "permutation_p": _permutation_p(scores, heard.owners, group, alone, rng),
+        "group_rank": _summary(order, rng, 0.0),
+        "halves_kendall": _summary(halves[0], rng, float(np.mean(halves[1]))),
+        "halves_kendall_above_strangers": _summary(halves[0] - halves[1], rng, 0.0),
+        "halves_same_choice": _summary(halves[2], rng, 1.0 / (tracks - 1)),
+        "other_half_top1": _summary(own, rng, 1.0 / tracks),
+        "query_ms": {"p50": round(times[0], 2), "p99": round(times[1], 2)},
+    }
+
+
+def _per_track(
+    scores: F64,
+    owners: npt.NDArray[np.int64],
+    group: npt.NDArray[np.str_],
+    alone: npt.NDArray[np.bool_],
+) -> tuple[F64, F64, F64]:
+    """Return per track with company: share of right groups, its chance, rank agreement (-1..1)."""
+    rows = []
+    for track in np.flatnonzero(~alone):
+        others = np.arange(len(group)) != track
+        same = others & (group == group[track])
+        mine = scores[owners == track]
+        if not len(mine):
+            continue
+        best = np.argmax(np.where(others, mine, -np.inf), axis=1)
+        above = mine[:, same][:, :, None] > mine[:, group != group[track]][:, None, :]
+        rows.append((same[best].mean(), same.sum() / others.sum(), 2.0 * above.mean() - 1.0))
+    right, chance, order = np.array(rows).T
+    return right, chance, order
+
+
+def _permutation_p(
+    scores: F64, owners: npt.NDArray[np.int64], group: npt.NDArray[np.str_],
+    alone: npt.NDArray[np.bool_], rng: np.random.Generator,
+) -> float:  # fmt: skip
+    """Return how often groups dealt at random would fit as well."""
+    best = np.argmax(np.where(owners[:, None] == np.arange(len(group)), -np.inf, scores), axis=1)
+    asked = ~alone[owners]
+
+    def share(names: npt.NDArray[np.str_]) -> float:
+        return float(np.mean(names[best[asked]] == names[owners[asked]]))
+
+    real = share(group)
+    beaten = sum(share(rng.permutation(group)) >= real for _ in range(BOOTSTRAP))
+    return (beaten + 1) / (BOOTSTRAP + 1)
+
+
+def _halves(heard: Heard) -> tuple[F64, F64, F64]:
+    """Return Kendall's tau of rankings by two halves, by halves of two tracks; same choice."""
+    _, first, second = heard.tables
+    count = len(first.names)
+    asked = [[unit(v.mean(axis=0)) for v in t.vectors] for t in (first, second)]
+    ranked = [np.array([heard.tables[0].scores(q) for q in half]) for half in asked]
+    own, stranger, same = [], [], []
+    for track in range(count):
+        other = (track + count // 2) % count
+        rest = [i for i in range(count) if i not in (track, other)]
+        own.append(kendalltau(ranked[0][track, rest], ranked[1][track, rest])[0])
+        stranger.append(kendalltau(ranked[0][track, rest], ranked[1][other, rest])[0])
+        others = [i for i in range(count) if i != track]
+        choices = [np.argmax(r[track, others]) for r in ranked]
+        same.append(float(choices[0] == choices[1]))
+    return np.array(own), np.array(stranger), np.array(same)
+
+
+def _own_half(heard: Heard) -> F64:
+    """Return whether the second half of a track finds its first half among all first halves."""
+    _, first, second = heard.tables
+    found = [np.argmax(first.scores(unit(v.mean(axis=0)))) for v in second.vectors]
+    return np.array([float(f == i) for i, f in enumerate(found)])
+
+
+def _summary(values: F64, rng: np.random.Generator, chance: float) -> dict[str, Any]:
+    drawn = values[rng.integers(len(values), size=(BOOTSTRAP, len(values)))].mean(axis=1)
+    low, high = np.percentile(drawn, (2.5, 97.5))
+    return {
+        "mean": round(float(values.mean()), 4),
+        "ci95": [round(float(low), 4), round(float(high), 4)],
+        "chance": round(chance, 4),
+        "tracks": len(values),
+    }
+
+
+def _print(report: Mapping[str, Any]) -> None:
+    print(
+        f"{report['backend']}, {report['condition']}, {report['seconds']:g} s: "
+        f"{report['queries']} queries of {report['tracks']} tracks, each out of the catalogue"
+    )
+    rows = {
+        "nearest track is of the own group": "group_top1",
+        "  above chance": "group_top1_above_chance",
+        "own group ranks above others (-1..1)": "group_rank",
+        "two halves rank alike (Kendall)": "halves_kendall",
+        "  above halves of two tracks": "halves_kendall_above_strangers",
+        "two halves choose the same track": "halves_same_choice",
+        "a half finds the other one": "other_half_top1",
+    }
+    for label, key in rows.items():
+        row = report[key]
+        low, high = row["ci95"]
+        print(
+            f"{label:38} {row['mean']:6.3f}  95 % {low:.3f}..{high:.3f}  chance {row['chance']:.3f}"
+        )
+    by_group = ", ".join(f"{g} {v:.2f}" for g, v in report["group_top1_by_group"].items())
+    print(
+        f"by group: {by_group}; groups dealt at random fit as well: p {report['permutation_p']:.4f}"
+    )
+    print(
+        f"query: p50 {report['query_ms']['p50']} ms, p99 {report['query_ms']['p99']} ms of one core"
+    )
