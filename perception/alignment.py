@@ -1,7 +1,6 @@
 """The two stages of the search: a coarse scan of everything, a fine alignment of the best places.
 
-Coarse: normalised correlation of the query with every place (160 ms, 1/8 octave). One product of
-matrices per block; the sum along its diagonals is the correlation at each place.
+Coarse: normalised correlation of the query with every place (160 ms, 1/8 octave), by spectra.
 Fine: one Gram matrix query x reference; every (offset, rate) hypothesis is a line through it.
 """
 
@@ -13,6 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
+import scipy.fft
+from numpy.lib.stride_tricks import as_strided
 
 from downbeat.perception import features as ft
 from downbeat.perception.features import F32
@@ -24,8 +25,13 @@ FINE_S = ft.HOP_S / 2.0
 """40 ms: the grid of the reference."""
 RATES = (1.0, 0.99, 1.01, 0.98, 1.02, 0.97, 1.03, 0.96, 1.04, 0.95, 1.05)
 """Time stretch; 1 first, so that ties go to it."""
-BLOCK = 4096
-"""Places per product: the block and its products stay in the cache of the processor."""
+BLOCK, MAX_WIDTH = 512, 64
+"""Coarse frames per spectrum and per query, 82 and 10 s."""
+BLOCK_HOP = BLOCK - MAX_WIDTH
+OFTEN = 2.0
+"""One place in fifty stands that many chance spreads high: the best are among these."""
+ROWS = 16
+"""Frames of a query that are multiplied at once."""
 QUIET_SHARE = 0.25
 """A quiet reference counts as this share of the usual: chance likeness must not be blown up."""
 
@@ -51,19 +57,42 @@ class Fit:
     pitch: float = field(default=1.0, compare=False)
 
 
+class Heard:
+    """A query, ready to be aligned: its frames in groups of ROWS."""
+
+    def __init__(self, values: F32, pitch: float = 1.0) -> None:
+        """Take features, (w, NUM_BANDS), and the pitch at which they were taken."""
+        self.frames = len(values)
+        self.pitch = pitch
+        self.energy = float((values**2).sum())
+        groups = -(-len(values) // ROWS)
+        padded = np.zeros((groups * ROWS, values.shape[1]), np.float32)
+        padded[: len(values)] = values
+        self.groups = padded.reshape(groups, ROWS, -1)  # (g, ROWS, NUM_BANDS)
+
+
 class CoarseScan:
-    """All places of all tracks, ready to be compared with a query."""
+    """All places of all tracks, ready to be compared with a query.
+
+    Kept as spectra of overlapping blocks: one product per block correlates the query with all its
+    places, for a quarter of what sliding it along would cost.
+    """
 
     def __init__(self, tracks: Sequence[Coarse]) -> None:
-        """Take the coarse features of each track, (n_i, 49)."""
+        """Take the coarse features of each track, (n_i, d)."""
         lengths = np.array([len(values) for values in tracks])
-        joined = np.concatenate(tracks)  # (n, 49)
+        joined = np.concatenate(tracks).astype(np.float32) / np.float32(QUANTUM)  # (n, d)
         self.starts: I64 = np.concatenate([[0], np.cumsum(lengths)[:-1]])
         self.track_of: I64 = np.repeat(np.arange(len(lengths)), lengths)  # (n,)
         self._ends = (self.starts + lengths)[self.track_of]  # (n,)
-        self._transposed = np.ascontiguousarray(joined.T).astype(np.float32) / np.float32(QUANTUM)
-        power = np.einsum("ij,ij->j", self._transposed, self._transposed)  # (n,)
+        power = np.einsum("ij,ij->i", joined, joined)  # (n,)
         self._energy = np.concatenate([[0.0], np.cumsum(power, dtype=np.float64)])
+        self._scales: dict[int, tuple[F32, I64]] = {}
+        blocks = -(-len(joined) // BLOCK_HOP)
+        self._spectra = np.empty((BLOCK // 2 + 1, blocks, joined.shape[1]), np.complex64)
+        for number in range(blocks):
+            part = joined[number * BLOCK_HOP : number * BLOCK_HOP + BLOCK]
+            self._spectra[:, number] = scipy.fft.rfft(part, BLOCK, axis=0)
 
     def search(self, values: F32, count: int) -> tuple[I64, float]:
         """Find the places most like a query.
@@ -76,35 +105,46 @@ class CoarseScan:
             At most `count` places, best first, and the chance spread of the scores.
         """
         scores, chance = self.scores(coarse_of(values))
-        return best_places(scores, count), chance
+        high = np.flatnonzero(scores > OFTEN * chance)
+        if len(high) < count:
+            return best_places(scores, count), chance
+        return high[best_places(scores[high], count)], chance
 
     def scores(self, query: F32) -> tuple[F32, float]:
         """Compare a query with every place.
 
         Args:
-            query: (w, 49) coarse features.
+            query: (w, d) coarse features; what is longer than MAX_WIDTH is left out.
 
         Returns:
             Normalised correlation, (n,), 0 where the window would leave its track; and its standard
             deviation over the places where it does not: how much chance there is.
         """
-        width, total = len(query), self._transposed.shape[1]
-        scores = np.zeros(total, np.float32)
-        for first in range(0, total, BLOCK):
-            stop = min(first + BLOCK, total)
-            products = query @ self._transposed[:, first : stop + width]  # (w, block + w)
-            own = scores[first:stop]
-            for row in range(width):  # along the diagonals
-                part = products[row, row : row + len(own)]
-                own[: len(part)] += part
-        places = np.arange(total)
-        energy = self._energy[np.minimum(places + width, total)] - self._energy[:-1]
-        floor = QUIET_SHARE * float(np.median(energy)) + 1e-9
-        scores /= np.sqrt(np.maximum(energy, floor) * (float((query**2).sum()) + 1e-9))
-        inside = places + width <= self._ends
-        scores[~inside] = 0.0
-        valid = scores[inside]
-        return scores, float(valid[::FINE_PER_COARSE].std()) if len(valid) else 1.0
+        query = query[:MAX_WIDTH]
+        scale, sample = self._scale(len(query))
+        spectrum = scipy.fft.rfft(query, BLOCK, axis=0).conj()  # (bins, d)
+        products = self._spectra @ spectrum[:, :, None]  # (bins, blocks, 1)
+        sums = scipy.fft.irfft(products[:, :, 0].T, BLOCK, axis=1)  # (blocks, BLOCK)
+        scores = sums[:, :BLOCK_HOP].ravel()[: len(scale)] * scale
+        scores /= np.sqrt(float((query**2).sum()) + 1e-9)
+        return scores, float(scores[sample].std()) if len(sample) else 1.0
+
+    def _scale(self, width: int) -> tuple[F32, I64]:
+        """Return what windows of this width are divided by, and places to sample chance at.
+
+        Returns:
+            (n,), 0 where a window would leave its track; and one in four of the other places.
+        """
+        if width not in self._scales:
+            places = np.arange(len(self.track_of))
+            stops = np.minimum(places + width, len(places))
+            energy = self._energy[stops] - self._energy[:-1]
+            floor = QUIET_SHARE * float(np.median(energy)) + 1e-9
+            inside = places + width <= self._ends
+            scale = np.where(inside, 1.0 / np.sqrt(np.maximum(energy, floor)), 0.0)
+            sample = np.flatnonzero(inside)[::FINE_PER_COARSE]
+            self._scales[width] = scale.astype(np.float32), sample
+        return self._scales[width]
 
 
 class FineAligner:
@@ -118,8 +158,7 @@ class FineAligner:
 
     def align(
         self,
-        values: F32,
-        energy: float,
+        heard: Heard,
         track: int,
         first: int,
         search: int,
@@ -128,18 +167,24 @@ class FineAligner:
         """Find the best offset and rate of a query near a place.
 
         Args:
-            values: (w, NUM_BANDS) features of the query.
-            energy: Sum of their squares.
+            heard: The query.
             track: Number of the track.
             first: Frame of the reference (40 ms) at which the query may start.
             search: Frames around it to try.
             rates: Rates to try.
         """
-        frames = len(values)
+        frames, energy = heard.frames, heard.energy
         columns, margin = _lines(frames, search, rates)
-        reference = self._reference(track, first - margin, 2 * frames + 2 * margin)
-        gram = values @ reference.T  # (w, length)
-        scores = np.take(gram.ravel(), columns).sum(-1)  # (rates, offsets)
+        groups, span = len(heard.groups), 2 * ROWS + 2 * margin
+        reference = self._reference(track, first - margin, 2 * ROWS * (groups - 1) + span)
+        along, across = reference.strides
+        # Only what lies near the diagonal is multiplied: each group with the frames it may meet.
+        near = as_strided(
+            reference, (groups, ft.NUM_BANDS, span), (2 * ROWS * along, across, along)
+        )
+        gram = heard.groups @ near  # (g, ROWS, span)
+        taken = gram.ravel().take(columns, mode="clip")  # (frames, rates * offsets)
+        scores = taken.sum(0).reshape(len(rates), -1)  # (rates, offsets)
         r, d = np.unravel_index(int(scores.argmax()), scores.shape)
         reference_energy = self._energy_at(track, first, frames)
         usual = self._energy_of(track)[-1] / len(self._fine[track]) * 2 * frames
@@ -152,7 +197,7 @@ class FineAligner:
         turned = (frames - 1) * (1.0 - rate)
         start = first + int(d) - search + off + turned - PAD_FRAMES
         information = reference_energy / (frames * ft.NUM_BANDS * QUANTUM**2)
-        return Fit(similarity, track, start * FINE_S, rate, information)
+        return Fit(similarity, track, start * FINE_S, rate, information, heard.pitch)
 
     def _reference(self, track: int, begin: int, length: int) -> F32:
         """Return `length` frames from `begin`, zeros beyond the ends, (length, NUM_BANDS)."""
@@ -182,7 +227,7 @@ def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, int
     """Return the lines through the Gram matrix as flat places in it, and its margin.
 
     Returns:
-        (rates, offsets, frames) indices into the flattened (frames, 2 frames + 2 margin) matrix.
+        (frames, rates * offsets) indices into the flattened (g, ROWS, 2 ROWS + 2 margin) matrix.
     """
     centre = (frames - 1) / 2.0
     steepest = max(abs(rate - 1.0) for rate in rates)
@@ -191,7 +236,10 @@ def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, int
     lines = np.round(2.0 * (centre + np.outer(rates, rows - centre))).astype(np.int64)
     offsets = np.arange(-search, search + 1)
     columns = lines[:, None, :] + margin + offsets[None, :, None]
-    return rows * (2 * frames + 2 * margin) + columns, margin
+    # In its group, the first column is that of the group's first frame.
+    begin = rows * (2 * ROWS + 2 * margin) - 2 * ROWS * (rows // ROWS)
+    places = begin + columns  # (rates, offsets, frames)
+    return np.ascontiguousarray(places.reshape(-1, frames).T), margin
 
 
 def vertex(scores: F32, peak: int) -> tuple[float, float]:

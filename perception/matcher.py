@@ -8,15 +8,15 @@ Measured in docs/matcher.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from downbeat.perception import features as ft
-from downbeat.perception.alignment import FINE_S, Fit, spread_out
-from downbeat.perception.candidates import prepare
+from downbeat.perception.alignment import FINE_S, Fit, Heard, spread_out
+from downbeat.perception.candidates import MAX_SCANNED_TRACKS, prepare
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, SILENT_PEAK, Index
@@ -108,8 +108,11 @@ class MusicMatcher(Protocol):
 class AlignmentMatcher:
     """The two-stage matcher over an index."""
 
-    def __init__(self, index: Index | None = None) -> None:
+    def __init__(
+        self, index: Index | None = None, max_scanned_tracks: int = MAX_SCANNED_TRACKS
+    ) -> None:
         self.index = index or Index()
+        self._max_scanned_tracks = max_scanned_tracks
         self._ready = False
         if self.index.names:
             self.finish()
@@ -137,7 +140,7 @@ class AlignmentMatcher:
         """
         if not self.index.names:
             raise PerceptionError("The index holds no track; `add` at least one before a query.")
-        self._scan, self._aligner = prepare(self.index)
+        self._scan, self._aligner = prepare(self.index, self._max_scanned_tracks)
         self._ready = True
 
     def save(self, path: Path) -> None:
@@ -192,7 +195,7 @@ class AlignmentMatcher:
             return 0.0, 0.0
         first = round(tau_s / FINE_S) + PAD_FRAMES
         number = self.names.index(track)
-        fit = self._aligner.align(values, _energy(values), number, first, CHECK_SEARCH, (1.0,))
+        fit = self._aligner.align(Heard(values), number, first, CHECK_SEARCH, (1.0,))
         return fit.similarity, fit.tau_s - tau_s
 
     def _search(self, values: F32) -> tuple[list[Fit], float]:
@@ -200,28 +203,27 @@ class AlignmentMatcher:
         ranked, chance = self._scan.search(values, RANKED)
         track_of = self._scan.track_of
         places = spread_out(ranked, track_of, CANDIDATES, PER_TRACK).tolist()
-        found = {place: self._fit(values, place) for place in places}
-        heard = {1.0: values}
+        heard = {1.0: Heard(values)}
+        found = {place: self._fit(heard[1.0], place) for place in places}
         for pitch in PITCHES:
-            heard[pitch] = ft.shift_pitch(values, pitch)
+            heard[pitch] = Heard(ft.shift_pitch(values, pitch), pitch)
             for place in places[:PITCHED]:
-                found[place] = max(found[place], self._fit(heard[pitch], place, pitch))
+                found[place] = max(found[place], self._fit(heard[pitch], place))
         # Repeats inside the winning track: look at more of its places, at the pitch that fits.
         best = max(found.values())
         count = MORE_PLACES + PER_TRACK
         more = spread_out(ranked[track_of[ranked] == best.track], track_of, count, count).tolist()
         for place in more:
             if place not in found or found[place].pitch != best.pitch:
-                fit = self._fit(heard[best.pitch], place, best.pitch)
+                fit = self._fit(heard[best.pitch], place)
                 found[place] = max(found.get(place, fit), fit)
         return sorted(found.values(), reverse=True), chance
 
-    def _fit(self, values: F32, place: int, pitch: float = 1.0) -> Fit:
+    def _fit(self, heard: Heard, place: int) -> Fit:
         """Align finely around a coarse place."""
         track = int(self._scan.track_of[place])
         first = FINE_PER_COARSE * (place - int(self._scan.starts[track]))
-        fit = self._aligner.align(values, _energy(values), track, first, SEARCH)
-        return replace(fit, pitch=pitch)
+        return self._aligner.align(heard, track, first, SEARCH)
 
     def _decide(self, values: F32, fits: list[Fit], chance: float) -> MatchResult:
         best = next((fit for fit in fits if fit.track < len(self.names)), None)
@@ -264,10 +266,6 @@ def _audible_features(samples: F32, sample_rate_hz: int) -> F32:
     if not SILENT_PEAK <= peak < np.inf:  # NaN fails too
         return np.zeros((0, ft.NUM_BANDS), np.float32)
     return ft.features(ft.to_matcher_rate(samples, sample_rate_hz))
-
-
-def _energy(values: F32) -> float:
-    return float((values**2).sum())
 
 
 def _check_rate(sample_rate_hz: int) -> None:
