@@ -16,9 +16,10 @@ from enum import Enum
 from typing import Protocol
 
 from downbeat.perception.features import F32
+from downbeat.perception.grounding_examples import EXAMPLES
 from downbeat.perception.grounding_misheard import Misheard
 from downbeat.perception.grounding_numbers import Parameters, parameters
-from downbeat.perception.grounding_rules import Clause, Form, clauses, plain
+from downbeat.perception.grounding_rules import Clause, Form, clauses, is_address, plain
 from downbeat.perception.grounding_talk import TALK
 from downbeat.policies.manifest_types import SkillManifest
 
@@ -98,6 +99,8 @@ NOT_BY_VOICE = frozenset({"talk"})
 STAND = "stand"
 LETTERS_WEIGHT, LETTERS_FROM = 0.4, 0.7
 """Letters add to meaning what they are more alike than this: a misheard name has no meaning."""
+NAMED = 0.06
+"""A skill whose very name is said is so much closer, unless others share the name (salsa)."""
 LEFT_OVER = 0.12
 """Each word that is no part of the phrase makes it so much less alike."""
 _MOVES = re.compile(
@@ -113,7 +116,10 @@ _RESUME = re.compile(
     r"|go on dancing|resume (?:dancing|the dance|the show)|back to the music)"
     r"(?: again| now| please)*$"
 )
-_BEFORE = re.compile(r"\b(?:it|that|this|thing|same|one|just|go|from|start|beginning|whole)\b")
+_BEFORE = re.compile(
+    r"\b(?:it|that|this|thing|same|one|just|go|from|start|beginning|whole|at|with|bit|little|much"
+    r"|lot|even|way|tempo|pace|speed|have|see|play|try|let's|be)\b"
+)
 _WORD = re.compile(r"[\w']+")
 
 
@@ -142,16 +148,18 @@ class Grounder:
             if name in NOT_BY_VOICE:
                 continue
             said = [name.replace("_", " "), skill.title, *skill.phrases]
-            self._exact |= {plain(text): name for text in said}
+            self._exact |= {text: name for text in map(plain, said) if not is_address(text)}
             self._phrases += [(_letters(text), name) for text in said]
             texts += [(text, name) for text in dict.fromkeys([*said, *skill.descriptions])]
+            texts += [(asked(text), name) for text in EXAMPLES.get(name, ())]
+        self._own_names = {one for one in skills if sum(one in other for other in skills) == 1}
         self._phrases = [pair for pair in dict.fromkeys(self._phrases) if pair[0]]
         self._names = [name for _, name in texts]
         knows = (lambda _: False) if model is None else model.knows
         self._misheard = Misheard((text for text, _ in self._phrases), knows)
         if model is not None:
             self._vectors = model.embed([text for text, _ in texts])
-            self._talk = model.embed(TALK)
+            self._talk = model.embed([asked(text) for text in TALK])
 
     def ground(self, text: str) -> Intent:
         """Return what is wanted. A stop anywhere in the utterance wins over everything."""
@@ -197,7 +205,7 @@ class Grounder:
         chat = Intent(IntentKind.CHAT)
         if not _content(rest) and (numbers.again or numbers.repeat):
             return Intent(IntentKind.AGAIN, score=1.0, margin=1.0, parameters=whole)
-        if numbers.tempo and len(_letters(rest).split()) <= 1:
+        if numbers.tempo and len(_content(rest).split()) <= 1:
             return Intent(IntentKind.TEMPO, score=1.0, margin=1.0, parameters=whole)
         skill, score, margin, talk = self._closest(rest or clause.text)
         limits = self._limits
@@ -227,9 +235,12 @@ class Grounder:
             bonus[name] = max(bonus.get(name, 0.0), LETTERS_WEIGHT * (likeness - LETTERS_FROM))
             if self._model is None and likeness >= self._limits.letters:
                 by_skill[name] = max(by_skill.get(name, -1.0), likeness)
+        words = text.split()
         for name, more in bonus.items():
             if self._model is not None:
-                by_skill[name] += more
+                by_skill[name] += more + (
+                    NAMED if name in words and name in self._own_names else 0.0
+                )
         if (named := self._exact.get(text)) is not None:
             by_skill[named] = 1.0
         if not by_skill:
@@ -237,6 +248,14 @@ class Grounder:
         ranked = sorted(by_skill.items(), key=lambda item: -item[1])
         (skill, score), second = ranked[0], ranked[1][1] if len(ranked) > 1 else 0.0
         return skill, score, score - second, score - talk
+
+
+def asked(text: str) -> str:
+    """Return what is compared of a sentence: what it asks for, without how, and without numbers."""
+    wanted = [one.text for one in clauses(text) if one.form in (Form.REQUEST, Form.BARE)]
+    if len(wanted) != 1:
+        return plain(text)
+    return parameters(wanted[0])[1] or wanted[0]
 
 
 def _spoken(text: str) -> str:

@@ -26,14 +26,27 @@ _NUMBER = (
 )
 _AMOUNT = re.compile(
     rf"\b(?:for |about |around |exactly |some )*(?P<number>{_NUMBER}(?:[ -]{_NUMBER})*)"
-    r"(?: an?| of an?)? ?"
+    r"(?: an?| of an?)?(?: |(?<=\d))"
     r"(?P<unit>seconds?|secs?|s|minutes?|mins?|met(?:er|re)s?|m|steps?|times)\b"
 )
 _FREQUENCY = re.compile(r"\b(?:(once)|(twice)|(thrice))\b(?! upon)")
-_FASTER = re.compile(r"\b(?:faster|quicker|speed (?:it )?up|more quickly)\b")
-_SLOWER = re.compile(r"\b(?:slower|slow (?:it )?down|more slowly)\b")
+_FASTER = re.compile(
+    r"\b(?:faster|quicker|speed (?:it |that |things )?up|more (?:quickly|speed)"
+    r"|double (?:the )?(?:speed"
+    r"|tempo|time)|twice (?:as fast|the speed)|(?:pick|step) up the (?:pace|tempo|speed)"
+    r"|hurry(?: up)?"
+    r"|(?:raise|increase|up) the (?:pace|tempo|speed)|accelerate)\b"
+)
+_SLOWER = re.compile(
+    r"\b(?:slower|slow (?:it |that |things )?down|more slowly|less (?:quickly|speed)"
+    r"|half (?:the )?(?:speed"
+    r"|tempo|time)|half as fast|(?:lower|reduce|decrease|drop) the (?:pace|tempo|speed)"
+    r"|decelerate|in slow motion)\b"
+)
 _AGAIN = re.compile(
-    r"\b(?:again|once more|one more time|another time|repeat(?: that| it)?|encore)\b"
+    r"\b(?:again|once more|one more time|another (?:time|go|round)|repeat(?: that| it"
+    r"| the last one)?"
+    r"|encore|one more|from the top)\b"
 )
 
 
@@ -130,10 +143,10 @@ def parameters(text: str) -> tuple[Parameters, str]:
     again = bool(_AGAIN.search(text))
     rest = _AGAIN.sub(" ", text)  # "one more time" is no count
     rest = _AMOUNT.sub(take, rest)
+    tempo = int(bool(_FASTER.search(rest))) - int(bool(_SLOWER.search(rest)))
+    rest = _SLOWER.sub(" ", _FASTER.sub(" ", rest))  # "twice as fast" is no count
     if repeat is None and (often := _FREQUENCY.search(rest)):
         repeat = 1 + next(index for index, group in enumerate(often.groups()) if group)
         rest = _FREQUENCY.sub(" ", rest)
-    tempo = int(bool(_FASTER.search(rest))) - int(bool(_SLOWER.search(rest)))
-    rest = _SLOWER.sub(" ", _FASTER.sub(" ", rest))
     found = Parameters(duration_s, distance_m, repeat, tempo, again)
     return found, " ".join(rest.split())

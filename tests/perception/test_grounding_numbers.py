@@ -88,3 +88,11 @@ def test_huge_numbers_are_held_to_the_limit(value, unit):
     found, _ = parameters(f"walk {value} {unit}")
     assert found.distance_m is None or found.distance_m <= MAX_DISTANCE_M
     assert found.duration_s is None or found.duration_s <= MAX_DURATION_S
+
+
+def test_small_words_are_no_amounts():
+    assert parameters("walk as a zombie")[0].duration_s is None
+    assert parameters("i am a robot")[0].distance_m is None
+    assert parameters("do it twice as fast")[0].repeat is None
+    assert parameters("do it twice as fast")[0].tempo == 1
+    assert parameters("walk 2m")[0].distance_m == 2.0

@@ -73,3 +73,23 @@ def test_what_is_rejected_does_not_hide_what_is_wanted():
 def test_any_text_has_clauses(text):
     for clause in clauses(text):
         assert clause.text.strip() == clause.text
+
+
+@pytest.mark.parametrize("text", ["robot", "hey robot", "ok robot", "dear robot, buddy"])
+def test_calling_the_robot_asks_for_nothing(text):
+    assert {clause.form for clause in clauses(text)} <= {Form.OTHER}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["salsa? no thanks", "everything but the waltz", "any dance except the twist",
+     "ditch the disco", "no more of that robot", "the last thing I want is a waltz", "whatever you do, no twist"],
+)  # fmt: skip
+def test_what_is_refused_is_not_asked_for(text):
+    wanted = [c for c in clauses(text) if c.form in (Form.REQUEST, Form.BARE)]
+    assert wanted == []
+
+
+@pytest.mark.parametrize("text", ["pass the salsa", "could you open the door", "send a letter"])
+def test_work_of_hands_is_no_dance(text):
+    assert {clause.form for clause in clauses(text)} == {Form.OTHER}
