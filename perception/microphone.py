@@ -95,7 +95,8 @@ class Capture:
             age_us = frames * self._period_us
         lost = bool(status.input_overflow) or self._dropped_before
         self._dropped_before = False
-        mono = samples.mean(axis=1, dtype=np.float32)  # a copy: the buffer is PortAudio's
+        with np.errstate(all="ignore"):  # a driver may hand over anything; it is judged later
+            mono = samples.mean(axis=1, dtype=np.float32)  # a copy: the buffer is PortAudio's
         self.queue.append((mono, now - round(age_us), lost))
 
     @property

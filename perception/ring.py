@@ -16,6 +16,8 @@ RATE_HZ = 16_000
 """Of everything behind a source."""
 ROUNDING_US = 1.0
 """Stamps are whole microseconds, samples are not."""
+LOUDEST = 1_000.0
+"""60 dB above full scale is no sound: memory that a driver did not fill."""
 MAX_FOLLOW_US = 20_000.0
 """A block that claims to follow, but is off by more, does not."""
 
@@ -134,7 +136,7 @@ class Resampler:
     The filter's own delay only means that the newest samples (up to 60 ms) come with the next
     block: sample k of a run's output sounded k / 16 kHz after the run began (soxr drops the
     filter's start). A gap ends the run; what is left in the filter comes first. Samples that are
-    not finite are taken for silence and counted.
+    not finite, or far beyond full scale, are taken for silence and counted.
     """
 
     def __init__(self, sample_rate_hz: int) -> None:
@@ -196,8 +198,8 @@ class Resampler:
         return [Block(sound, utime, follows)]
 
     def _finite(self, samples: F32) -> F32:
-        bad = int(np.count_nonzero(~np.isfinite(samples)))
-        if bad == 0:
+        is_good = np.abs(samples) <= LOUDEST  # NaN is not
+        if is_good.all():
             return samples
-        self.num_bad_samples += bad
-        return np.nan_to_num(samples, nan=0.0, posinf=0.0, neginf=0.0)
+        self.num_bad_samples += int(np.count_nonzero(~is_good))
+        return np.where(is_good, samples, np.float32(0.0))

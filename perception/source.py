@@ -126,7 +126,7 @@ class SourceCounters:
         lost_samples: Samples that are known to be missing, at 16 kHz.
         surplus: Blocks that came twice or too late; dropped.
         xruns: Times a sound card's buffer ran over.
-        bad_samples: Samples that were not finite; silence stands for them.
+        bad_samples: Samples that were no numbers, or absurdly loud; silence stands for them.
         outages: Times nothing came any more.
         last_bad: Length of the last bad block [bytes]; -1 before one.
     """

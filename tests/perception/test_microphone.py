@@ -1,6 +1,10 @@
 """A microphone on this machine: stamps, losses, and a device that goes and comes back."""
 
+import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -242,3 +246,51 @@ def test_time_that_jumps_is_a_gap_once():
         placed = [clock.place(160, base + 100_000 + jump_us + n * 10_000, False) for n in range(9)]
         assert [follows for _, follows in placed] == [False] + [True] * 8
         assert placed[0][0] == base + 100_000 + jump_us
+
+
+REAL = """
+import sys, time
+import numpy as np
+from downbeat.perception.microphone import Microphone
+from downbeat.runtime.clock import WallClock
+
+clock = WallClock()
+microphone = Microphone(clock, "notamic")
+
+def hear(seconds):
+    blocks, end = [], time.monotonic() + seconds
+    while not blocks and time.monotonic() < end:
+        time.sleep(0.05)
+        blocks = microphone.read(clock.utime())
+    return blocks
+
+blocks = hear(10.0)
+assert blocks and all(np.isfinite(block.samples).all() for block in blocks)
+microphone._capture._stream.abort()  # as a device that stops by itself
+microphone.read(clock.utime())
+assert "notamic is gone" in microphone.failure, microphone.failure
+assert hear(10.0) and not microphone.failure and microphone.counters.outages == 1
+microphone.close()
+print(microphone.name)
+"""
+
+
+@pytest.mark.slow
+def test_the_real_portaudio_opens_delivers_and_opens_again(tmp_path):
+    """On ALSA's null device, which needs no hardware, and has no pace either."""
+    pytest.importorskip("sounddevice", exc_type=(ImportError, OSError))
+    base = Path("/usr/share/alsa/alsa.conf")
+    if not base.exists():
+        pytest.skip("ALSA is not installed")
+    config = tmp_path / "asound.conf"
+    config.write_text(f"<{base}>\npcm.notamic {{ type null hint {{ show on description x }} }}\n")
+    done = subprocess.run(
+        [sys.executable, "-c", REAL],
+        env={**os.environ, "ALSA_CONFIG_PATH": str(config)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "microphone notamic"
