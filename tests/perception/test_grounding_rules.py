@@ -83,7 +83,8 @@ def test_calling_the_robot_asks_for_nothing(text):
 @pytest.mark.parametrize(
     "text",
     ["salsa? no thanks", "everything but the waltz", "any dance except the twist",
-     "ditch the disco", "no more of that robot", "the last thing I want is a waltz", "whatever you do, no twist"],
+     "ditch the disco", "no more of that robot", "the last thing I want is a waltz",
+     "whatever you do, no twist"],
 )  # fmt: skip
 def test_what_is_refused_is_not_asked_for(text):
     wanted = [c for c in clauses(text) if c.form in (Form.REQUEST, Form.BARE)]
