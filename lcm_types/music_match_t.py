@@ -12,11 +12,11 @@ import downbeat.lcm_types
 class music_match_t(object):
     """ MUSIC_MATCH: track and position, one per window in the music branch, and on every lock change. """
 
-    __slots__ = ["header", "method", "accepted", "lock", "track", "confidence", "votes", "runner_up", "runner_up_confidence", "similarity", "tau_s", "tau_std_s", "rate", "track_zero_utime", "next_boundary_s"]
+    __slots__ = ["header", "method", "accepted", "lock", "track", "confidence", "votes", "runner_up", "runner_up_confidence", "similarity", "tau_s", "tau_std_s", "rate", "track_zero_utime", "ambiguous", "next_boundary_s"]
 
-    __typenames__ = ["downbeat.lcm_types.header_t", "int8_t", "boolean", "int8_t", "string", "float", "int32_t", "string", "float", "float", "double", "double", "double", "int64_t", "double"]
+    __typenames__ = ["downbeat.lcm_types.header_t", "int8_t", "boolean", "int8_t", "string", "float", "int32_t", "string", "float", "float", "double", "double", "double", "int64_t", "boolean", "double"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, None, None]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, None, None, None]
 
     NONE = 0
     FINGERPRINT = 1
@@ -102,6 +102,12 @@ class music_match_t(object):
         LCM Type: int64_t
         """
 
+        self.ambiguous = False
+        """
+        the track repeats this passage, and nothing heard so far says which repeat plays
+        LCM Type: boolean
+        """
+
         self.next_boundary_s = 0.0
         """
         [s] track time of the next known section change, NaN if unknown
@@ -128,7 +134,7 @@ class music_match_t(object):
         buf.write(struct.pack('>I', len(__runner_up_encoded)+1))
         buf.write(__runner_up_encoded)
         buf.write(b"\0")
-        buf.write(struct.pack(">ffdddqd", self.runner_up_confidence, self.similarity, self.tau_s, self.tau_std_s, self.rate, self.track_zero_utime, self.next_boundary_s))
+        buf.write(struct.pack(">ffdddqbd", self.runner_up_confidence, self.similarity, self.tau_s, self.tau_std_s, self.rate, self.track_zero_utime, self.ambiguous, self.next_boundary_s))
 
     @staticmethod
     def decode(data: bytes):
@@ -152,14 +158,16 @@ class music_match_t(object):
         self.confidence, self.votes = struct.unpack(">fi", buf.read(8))
         __runner_up_len = struct.unpack('>I', buf.read(4))[0]
         self.runner_up = buf.read(__runner_up_len)[:-1].decode('utf-8', 'replace')
-        self.runner_up_confidence, self.similarity, self.tau_s, self.tau_std_s, self.rate, self.track_zero_utime, self.next_boundary_s = struct.unpack(">ffdddqd", buf.read(48))
+        self.runner_up_confidence, self.similarity, self.tau_s, self.tau_std_s, self.rate, self.track_zero_utime = struct.unpack(">ffdddq", buf.read(40))
+        self.ambiguous = bool(struct.unpack('b', buf.read(1))[0])
+        self.next_boundary_s = struct.unpack(">d", buf.read(8))[0]
         return self
 
     @staticmethod
     def _get_hash_recursive(parents):
         if music_match_t in parents: return 0
         newparents = parents + [music_match_t]
-        tmphash = (0x29379c53096d6127+ downbeat.lcm_types.header_t._get_hash_recursive(newparents)) & 0xffffffffffffffff
+        tmphash = (0x13bc34d88225f93c+ downbeat.lcm_types.header_t._get_hash_recursive(newparents)) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

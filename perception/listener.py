@@ -1,4 +1,4 @@
-"""The listener process: sound in, AUDIO_CLASS and MUSIC_MATCH out, once per hop."""
+"""The listener process: sound in; AUDIO_CLASS, MUSIC_MATCH and MUSIC_BEAT out, once per hop."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ import numpy as np
 
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t
 from downbeat.perception.features import F32
-from downbeat.perception.matcher import MusicMatcher
+from downbeat.perception.matcher import MatchResult, MusicMatcher
 from downbeat.perception.ring import Block, Ring
+from downbeat.perception.router import MUSIC, SKIP, Router, Verdict
+from downbeat.perception.router_energy import EnergyRouter
 from downbeat.perception.sound_share import SoundShare
 from downbeat.perception.source import Source
 from downbeat.perception.tracker import Lock, Tracker, TrackState
+from downbeat.perception.unknown_ear import UnknownEar
 from downbeat.runtime.bus import Bus
 
 log = logging.getLogger("downbeat.listener")
@@ -27,27 +30,15 @@ PAUSE_DBFS = -50.0
 """Below this a second of sound is a pause: too little to judge a lock by."""
 
 
-class Router(Protocol):
-    """Decides what a window is; learned routers implement it too."""
+class MusicTracker(Protocol):
+    """What follows the track: `tracker.Tracker`, or the paper's `chunk_tracker.ChunkTracker`."""
 
-    name: str
+    @property
+    def state(self) -> TrackState:
+        """What it believes."""
 
-    def label(self, samples: F32, rms_dbfs: float) -> int:
-        """Return audio_class_t.SKIP, MUSIC or SPEECH."""
-        ...
-
-
-class EnergyRouter:
-    """Silence is SKIP, everything else is taken for music; the matcher refuses what is not."""
-
-    name = "energy"
-
-    def __init__(self, silence_dbfs: float = -60.0) -> None:
-        self.silence_dbfs = silence_dbfs
-
-    def label(self, samples: F32, rms_dbfs: float) -> int:
-        """Return SKIP below the silence level, else MUSIC."""
-        return int(audio_class_t.MUSIC if rms_dbfs > self.silence_dbfs else audio_class_t.SKIP)
+    def update(self, ring: Ring, now: int, audible: bool) -> TrackState:
+        """Judge the newest sound."""
 
 
 def level_dbfs(samples: F32) -> float:
@@ -70,6 +61,8 @@ class ListenerNode:
         next_boundary_s: Callable[[str, float], float | None] | None = None,
         router: Router | None = None,
         shares: bool = False,
+        unknown: UnknownEar | None = None,
+        tracker: MusicTracker | None = None,
     ) -> None:
         """Wire the process.
 
@@ -80,12 +73,17 @@ class ListenerNode:
             next_boundary_s: (track, position) -> track time of the next section change, or None.
             router: Music, speech or nothing; omitted: by energy.
             shares: Publish the sound as AUDIO_CHUNK, for the speech process.
+            unknown: Listens to music that the catalogue lacks; omitted: nobody does.
+            tracker: Follows the track; omitted: one that locks.
         """
         self._bus = bus
         self._source = source
         self._ring = Ring(RING_S)
-        self._tracker = Tracker(matcher)
-        self._router = router or EnergyRouter()
+        self._tracker: MusicTracker = tracker or Tracker(matcher)
+        self._is_locking = isinstance(self._tracker, Tracker)
+        self._locked_by: MatchResult | None = None
+        self._router: Router = router or EnergyRouter()
+        self._unknown = unknown
         self._next_boundary_s = next_boundary_s or (lambda _track, _tau: None)
         self._next_hop_utime = source.first_sample_utime + HOP_US
         self._announced = False
@@ -119,9 +117,22 @@ class ListenerNode:
 
     def _hear(self, block: Block, utime: int) -> None:
         """Take a piece of sound, 16 kHz; nothing is missing inside it."""
+        gaps = self._ring.num_gaps
         self._ring.append(block.samples, block.utime, block.follows)
+        if self._ring.num_gaps != gaps:
+            self._forget()
+        self._router.hear(block.samples, block.utime)
+        if self._unknown is not None:
+            is_known = self._tracker.state.lock != Lock.LOST
+            self._unknown.hear(block.samples, block.utime, is_known)
         if self._share is not None:
             self._share.send(block, utime)
+
+    def _forget(self) -> None:
+        """Samples are missing: what follows may be anything."""
+        self._router.reset()
+        if self._unknown is not None:
+            self._unknown.reset()
 
     def _follow_failure(self, utime: int) -> None:
         """Say once that the source is gone, and once that it is back."""
@@ -132,6 +143,7 @@ class ListenerNode:
         if failure:
             log.error("%s", failure)
             self._ring.mark_gap()  # what was heard before is no longer what is heard now
+            self._forget()
             self._publish_source(audio_source_t.FAILED, utime)
         else:
             log.warning("The %s is heard again.", self._source.name)
@@ -142,15 +154,35 @@ class ListenerNode:
         now = self._ring.last_utime if self._ring.seconds else self._source.heard_utime
         recent = self._ring.last(CLASS_WINDOW_S)
         rms_dbfs = level_dbfs(recent)
-        label = self._router.label(recent, rms_dbfs)
         before = self._tracker.state
         # Less than a whole window, as after a gap, speaks neither for nor against a lock.
         audible = rms_dbfs > PAUSE_DBFS and self._ring.seconds >= CLASS_WINDOW_S
-        after = self._tracker.update(self._ring, now, audible)
+        if self._is_locking:
+            after = self._tracker.update(self._ring, now, audible)
+            verdict = self._router.judge(evidence(after))
+        else:  # the paper's order: only what was routed to the music branch is looked up
+            verdict = self._router.judge(0.0)
+            after = self._tracker.update(self._ring, now, audible and verdict.label == MUSIC)
         start = now - round(len(recent) / self._ring.sample_rate_hz * 1e6)
-        self._publish_class(utime, start, now, label, rms_dbfs)
-        if label == audio_class_t.MUSIC or after.lock != before.lock:
+        self._publish_class(utime, start, now, verdict, rms_dbfs)
+        if verdict.label == MUSIC or after.lock != Lock.LOST or after.lock != before.lock:
             self._publish_match(utime, start, now, after)
+        self._publish_unknown(utime, now, verdict, after)
+
+    def _publish_unknown(self, utime: int, now: int, verdict: Verdict, state: TrackState) -> None:
+        """Publish the beat, and what the music resembles where nothing is locked."""
+        if self._unknown is None:
+            return
+        beat = self._unknown.beat_message(utime, verdict.label != SKIP)
+        beat.header.utime = utime
+        self._bus.publish("MUSIC_BEAT", beat)
+        missed_chunk = state.result is not None and not state.result.accepted
+        wanted = state.lock == Lock.LOST and (self._is_locking or missed_chunk)
+        if wanted and verdict.label == MUSIC:
+            match = self._unknown.resemblance(self._ring, now)
+            if match is not None:
+                match.header.utime = utime
+                self._bus.publish("MUSIC_MATCH", match)
 
     def _publish_source(self, state: int, utime: int) -> None:
         msg: Any = audio_source_t()
@@ -162,15 +194,18 @@ class ListenerNode:
         msg.name = self._source.name
         self._bus.publish("AUDIO_SOURCE", msg)
 
-    def _publish_class(self, utime: int, start: int, now: int, label: int, rms_dbfs: float) -> None:
+    def _publish_class(
+        self, utime: int, start: int, now: int, verdict: Verdict, rms_dbfs: float
+    ) -> None:
         msg: Any = audio_class_t()
         msg.header.utime = utime
         msg.window_end_utime = now
         msg.window_start_utime = start
-        msg.label = label
-        msg.p_music = msg.p_speech = msg.v_frac = math.nan
+        msg.label = verdict.label
+        msg.p_music, msg.p_speech = verdict.p_music, verdict.p_speech
+        msg.v_frac = verdict.v_frac
         msg.rms_dbfs = rms_dbfs
-        msg.model = self._router.name
+        msg.model = verdict.model
         self._bus.publish("AUDIO_CLASS", msg)
 
     def _publish_match(self, utime: int, start: int, now: int, state: TrackState) -> None:
@@ -179,23 +214,40 @@ class ListenerNode:
         msg.lock = int(state.lock)
         msg.similarity = state.similarity
         msg.rate = state.rate
-        msg.tau_std_s = math.nan
+        msg.tau_std_s = state.tau_std_s
+        msg.ambiguous = state.ambiguous
         msg.next_boundary_s = math.nan
         if state.place is not None:
             msg.method = music_match_t.FINGERPRINT
-            msg.accepted = state.lock == Lock.LOCKED
+            msg.accepted = state.lock == Lock.LOCKED or (
+                state.result is not None and state.result.accepted
+            )
             msg.track = state.track
             msg.track_zero_utime = state.track_zero_utime
             msg.tau_s = state.place.at(start)
             boundary = self._next_boundary_s(state.track, state.place.at(now))
             msg.next_boundary_s = math.nan if boundary is None else boundary
-        if state.result is not None:
-            msg.confidence = state.result.confidence
-            msg.votes = state.result.votes
-            msg.runner_up = state.result.runner_up
-            msg.runner_up_confidence = state.result.runner_up_confidence
+        result = self._said_by(state)
+        if result is not None:
+            msg.confidence = result.confidence
+            msg.votes = result.votes
+            msg.runner_up = result.runner_up
+            msg.runner_up_confidence = result.runner_up_confidence
         self._bus.publish("MUSIC_MATCH", msg)
+
+    def _said_by(self, state: TrackState) -> MatchResult | None:
+        """Return the search that a state stands on: of this hop, or the one that locked."""
+        if state.lock == Lock.LOST:
+            self._locked_by = None
+        elif state.result is not None and state.result.accepted:
+            self._locked_by = state.result
+        return state.result or self._locked_by
 
     def close(self) -> None:
         """Release the source."""
         self._source.close()
+
+
+def evidence(state: TrackState) -> float:
+    """Return how well a locked track still fits what sounds; 0 without a lock."""
+    return state.similarity if state.lock == Lock.LOCKED else 0.0

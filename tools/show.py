@@ -48,6 +48,7 @@ class ShowConfig:
         transitions: "proven"; "rules" (without an atlas), "via_stand" or "hard" to compare with.
         checker: Whether a checker process simulates plans before they are made.
         speech: The speech process's speech.toml; empty: nobody listens to words.
+        hearing: How music is heard and followed, hearing.toml; empty: the defaults.
     """
 
     audio: str
@@ -67,6 +68,7 @@ class ShowConfig:
     transitions: str = "proven"
     checker: bool = True
     speech: str = ""
+    hearing: str = ""
 
     def to_toml(self) -> str:
         """Return the show as TOML."""
@@ -137,37 +139,64 @@ def make_listener(show: Show, bus: Bus, first_sample_utime: int) -> Any:
         DownbeatError: The sound, the index or a track cannot be used.
     """
     from downbeat.perception.listener import ListenerNode
-    from downbeat.perception.matcher import AlignmentMatcher
     from downbeat.perception.source_spec import CHUNKS, open_source
+    from downbeat.tools import hearing_parts as parts
 
     tracks = show_tracks(show)
 
     def next_boundary_s(track: str, tau_s: float) -> float | None:
         return tracks[track].next_change_s(tau_s) if track in tracks else None
 
-    matcher = AlignmentMatcher.load(show.path(show.config.index))
+    hearing = show_hearing(show)
+    index = show.path(show.config.index)
+    matcher = parts.build_matcher(hearing, index)
     audio = show.config.audio
     source = open_source(audio, show.folder, bus, first_sample_utime)
     # Chunks of another process are on the bus already.
     shares = bool(show.config.speech) and audio != CHUNKS
-    return ListenerNode(bus, source, matcher, next_boundary_s, shares=shares)
+    return ListenerNode(
+        bus,
+        source,
+        matcher,
+        next_boundary_s,
+        parts.build_router(hearing, show.folder),
+        shares,
+        parts.build_unknown(hearing, show.folder, index),
+        parts.build_tracker(hearing, matcher),
+    )
+
+
+def show_hearing(show: Show) -> Any:
+    """Return the show's HearingConfig.
+
+    Raises:
+        DownbeatError: hearing.toml is missing, or something in it is wrong (file:key).
+    """
+    from downbeat.perception.hearing_config import HearingConfig
+
+    if not show.config.hearing:
+        return HearingConfig()
+    return load_config(show.path(show.config.hearing), HearingConfig)
 
 
 def make_conductor(show: Show, bus: Bus) -> Any:
     """Build the conductor process."""
-    from downbeat.perception.conductor import Conductor
     from downbeat.perception.conductor_node import ConductorNode
     from downbeat.perception.timeline import Timeline
-    from downbeat.perception.voice_desk import HOLD_S
+    from downbeat.tools.hearing_parts import build_conductor
 
     tracks = show_tracks(show)
     set_list = (
         load_setlist(show.path(show.config.set_list), tracks) if show.config.set_list else None
     )
     speech = show_speech(show)
-    allowed = frozenset(speech.skills) if speech is not None and speech.skills else None
-    hold_s = HOLD_S if speech is None else speech.hold_s
-    conductor = Conductor(Timeline(tracks, set_list), show_skills(show), allowed, hold_s)
+    voice: dict[str, Any] = {}
+    if speech is not None:
+        allowed = frozenset(speech.skills) if speech.skills else None
+        voice = {"allowed": allowed, "hold_s": speech.hold_s}
+    conductor = build_conductor(
+        show_hearing(show), Timeline(tracks, set_list), tracks, show_skills(show), **voice
+    )
     return ConductorNode(bus, conductor, frozenset(tracks))
 
 

@@ -7,7 +7,8 @@ import pytest
 from synthetic_music import RATE
 
 from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t
-from downbeat.perception.listener import EnergyRouter, ListenerNode, level_dbfs
+from downbeat.perception.listener import ListenerNode, level_dbfs
+from downbeat.perception.router_energy import EnergyRouter
 from downbeat.perception.source import FileSource, Recording
 from downbeat.runtime.clock import SimClock
 from downbeat.runtime.memq import MemqHub
@@ -114,9 +115,9 @@ def test_a_bad_sample_breaks_nothing(matcher, music):
 
 
 def test_router_decides_by_level():
-    router = EnergyRouter()
-    wave = np.where(np.arange(100) % 2, 1.0, -1.0).astype(np.float32)
-    loud, quiet = 0.1 * wave, 1e-5 * wave
-    assert router.label(loud, level_dbfs(loud)) == audio_class_t.MUSIC
-    assert router.label(quiet, level_dbfs(quiet)) == audio_class_t.SKIP
+    wave = np.where(np.arange(16_000) % 2, 1.0, -1.0).astype(np.float32)
+    for level, label in ((0.1, audio_class_t.MUSIC), (1e-5, audio_class_t.SKIP)):
+        router = EnergyRouter()
+        router.hear(level * wave, 0)
+        assert router.judge(0.0).label == label
     assert level_dbfs(np.zeros(0, np.float32)) == -120.0
