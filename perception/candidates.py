@@ -75,7 +75,7 @@ class ProposedScan:
             count: Places wanted.
 
         Returns:
-            At most `count` places, best first, and the chance spread of the scores.
+            At least one and at most `count` places, best first; the chance spread of the scores.
         """
         query = coarse(values)[:SAMPLED_ROWS]
         sample = self._sample[self._room >= len(query), : len(query)]
@@ -85,8 +85,8 @@ class ProposedScan:
         chance = float(scores.std()) if len(scores) else 1.0
         places = self.propose(values)
         places = places[places + len(query) <= self._ends[self.track_of[places]]]
-        if not len(places):
-            return places, chance
+        if not len(places):  # an answer is expected; this one will not be accepted
+            return np.zeros(1, np.int64), chance
         rows = self._coarse[places[:, None] + np.arange(len(query))]  # (k, w, CELLS)
         scores, energy = correlate(rows.astype(np.float32) / np.float32(QUANTUM), query)
         scores = normalise(scores, energy, query, floor)

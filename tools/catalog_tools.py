@@ -1,8 +1,9 @@
-"""`downbeat catalog`: build, match, show."""
+"""`downbeat catalog`: build, add, remove, match, show."""
 
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,26 +11,70 @@ from rich.console import Console
 from rich.table import Table
 
 from downbeat.catalog.tracks import BUNDLED_TRACKS, load_tracks
-from downbeat.perception.matcher import AlignmentMatcher
+from downbeat.perception.constellation import ConstellationMatcher
+from downbeat.perception.index import Index
+from downbeat.perception.matcher import AlignmentMatcher, MusicMatcher
 from downbeat.perception.source import load_recording
+from downbeat.tools.catalog_build import (
+    Changes,
+    add_track,
+    index_path,
+    remove_track,
+    update_catalog,
+)
+from downbeat.tools.duplicates import find_duplicates
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import dance_names, say
-from downbeat.tools.recordings import INDEX_NAME, build_library, duplicates
+
+MATCHERS: dict[str, type[AlignmentMatcher] | type[ConstellationMatcher]] = {
+    "alignment": AlignmentMatcher,
+    "constellation": ConstellationMatcher,
+}
 
 
 def build(audio: Path, out: Path, seed: int) -> int:
-    """Make a catalogue of a folder of recordings."""
-    library = build_library(audio, out, dance_names(), seed, say=say)
-    for one, other in duplicates(library.recordings):
+    """Make or update the catalogue of a folder of recordings."""
+    is_quiet = not sys.stderr.isatty()
+    index, changes = update_catalog(audio, out, dance_names(), seed, say, is_quiet)
+    for reason in changes.left_out:
+        say(f"left out: {reason}")
+    for one, other in find_duplicates(index):
         print(
             f"'{one}' and '{other}' hold the same recording: a listener cannot tell them apart; "
             "take one of them out."
         )
-    print(f"{out}: {len(library.tracks)} tracks; give them sections in their TOML files")
+    print(f"{out}: {_summary(index, changes)}; give them sections in their TOML files")
     return show(out)
 
 
-def match(index: Path, audio: Path, at_s: float, seconds: float, as_json: bool = False) -> int:
+def add(where: Path, audio: Path, seed: int) -> int:
+    """Add one recording to a catalogue."""
+    index, changes = add_track(where, audio, dance_names(), seed, say)
+    for one, other in find_duplicates(index) if changes.made else ():
+        if audio.stem in (one, other):
+            print(f"'{one}' and '{other}' hold the same recording; take one of them out.")
+    print(f"{where}: {_summary(index, changes)}")
+    return 0
+
+
+def remove(where: Path, name: str) -> int:
+    """Take one track out of a catalogue."""
+    index, changes = remove_track(where, name)
+    print(f"{where}: {_summary(index, changes)}")
+    return 0
+
+
+def _summary(index: Index, changes: Changes) -> str:
+    count = len(index.names)
+    return (
+        f"{count} track{'' if count == 1 else 's'} ({len(changes.made)} new or changed, "
+        f"{len(changes.kept)} as they were, {len(changes.dropped)} dropped)"
+    )
+
+
+def match(
+    index: Path, audio: Path, at_s: float, seconds: float, as_json: bool, matcher: str
+) -> int:
     """Ask what a recording is; 0 if accepted.
 
     Raises:
@@ -45,15 +90,16 @@ def match(index: Path, audio: Path, at_s: float, seconds: float, as_json: bool =
             "valid lengths are 1 to 10 s, within the recording."
         )
     window = recording.samples[round(at_s * rate) : round((at_s + seconds) * rate)]
-    path = index / INDEX_NAME if index.is_dir() else index
-    result = AlignmentMatcher.load(path).query(window, rate)
+    asked: MusicMatcher = MATCHERS[matcher].load(index_path(index))
+    result = asked.query(window, rate)
     if as_json:
         print(json.dumps({name: _plain(value) for name, value in asdict(result).items()}))
         return 0 if result.accepted else 1
     verdict = "accepted" if result.accepted else "not accepted"
     print(
         f"{result.track or 'nothing'} at {result.tau_s:.3f} s, rate {result.rate:.2f}, "
-        f"score {result.confidence:.2f} ({verdict}), similarity {result.similarity:.2f}, "
+        f"score {result.confidence:.2f} ({verdict}), {result.votes} votes, "
+        f"similarity {result.similarity:.2f}, "
         f"runner-up {result.runner_up or '-'} {result.runner_up_confidence:.2f}"
     )
     return 0 if result.accepted else 1

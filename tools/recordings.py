@@ -17,14 +17,12 @@ from downbeat.perception.beats import GRID_FORMAT, estimate_grid
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import Index
 from downbeat.perception.index_file import VERSION, features_fingerprint
-from downbeat.perception.matcher import AlignmentMatcher
 from downbeat.perception.source import Recording, audio_files, load_recording
 from downbeat.perception.timeline import tempo_octave
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.rundir import CACHE_DIR
 
 INDEX_NAME = "index.bin"
-DUPLICATE_S, DUPLICATE_SIMILARITY = 6.0, 0.6
 
 Say = Callable[[str], None]
 
@@ -74,7 +72,7 @@ def build_library(
             say(f"left out: {error}")
     if not recordings:
         raise PerceptionError(f"{audio_folder} holds no recording that can be read.")
-    grids = {name: _grid(r, say) for name, r in recordings.items()}
+    grids = {name: cached_grid(r, say) for name, r in recordings.items()}
     if rules is not None:
         tracks = load_tracks(rules, skills)
         recordings = {n: _own_audio(t, recordings) for n, t in tracks.items()}
@@ -96,7 +94,7 @@ def _own_audio(track: Track, recordings: Mapping[str, Recording]) -> Recording:
     return recordings[track.name]
 
 
-def _grid(recording: Recording, say: Say) -> BeatGrid:
+def cached_grid(recording: Recording, say: Say) -> BeatGrid:
     """Return the beat grid; analysing takes seconds, so it is cached by content."""
     digest = hashlib.sha256(recording.samples.tobytes() + bytes([GRID_FORMAT]))
     cached = CACHE_DIR / "grids" / f"{digest.hexdigest()[:24]}.npz"
@@ -124,17 +122,37 @@ def assign_skills(
     rules inside a track are a person's to write: they need an ear for its sections, and many
     recordings repeat passages bit for bit, which no listener can tell apart.
     """
+    durations = {name: recording.duration_s for name, recording in recordings.items()}
+    return choose_skills(durations, grids, skills, seed)
+
+
+def choose_skills(
+    durations: Mapping[str, float],
+    grids: Mapping[str, BeatGrid],
+    skills: Sequence[str],
+    seed: int,
+    taken: Sequence[str] = (),
+) -> dict[str, Track]:
+    """Do as `assign_skills`, knowing only how long the tracks are.
+
+    Args:
+        durations: By name [s].
+        grids: By name.
+        skills: To choose from.
+        seed: Of the order.
+        taken: Skills that other tracks have already; they come last.
+    """
     rng = np.random.default_rng(seed)
     order = [str(s) for s in rng.permutation(list(skills))]
     ranges = {name: manifest.tempo_range_bpm for name, manifest in load_skills().items()}
-    tracks, bag = {}, list(order)
-    for name, recording in recordings.items():
+    tracks, bag = {}, [skill for skill in order if skill not in taken] or list(order)
+    for name, duration_s in durations.items():
         bpm = grids[name].tempo_bpm
         fitting = [s for s in (*bag, *order) if fits_tempo(bpm, ranges.get(s, (0.0, 0.0)))]
         skill = fitting[0] if fitting else (*bag, *order)[0]
         if skill in bag:
             bag.remove(skill)
-        tracks[name] = Track(name, skill, grids[name], title=name, duration_s=recording.duration_s)
+        tracks[name] = Track(name, skill, grids[name], title=name, duration_s=duration_s)
         bag = bag or list(order)
     return tracks
 
@@ -162,35 +180,14 @@ def write_track(path: Path, track: Track) -> None:
     for rule in track.rules:
         rows += ["", "[[section]]", f"start_s = {rule.start_s!r}", f"end_s = {rule.end_s!r}"]
         rows += [f"name = {_text(rule.name)}", f"skill = {_text(rule.skill)}"]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    temporary = path.with_name(f".{path.name}.part")  # not *.toml: a reader sees whole files
+    temporary.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    temporary.replace(path)
 
 
 def _text(value: str) -> str:
     """Return a TOML string; JSON escapes are a subset of TOML's."""
     return json.dumps(value, ensure_ascii=False)
-
-
-def duplicates(recordings: Mapping[str, Recording]) -> list[tuple[str, str]]:
-    """Return pairs of names that hold the same recording, however encoded or cut.
-
-    A window out of the middle of each is asked of an index of the others.
-    """
-    index = Index()
-    for name, recording in recordings.items():
-        index.add(name, recording.samples, recording.sample_rate_hz)
-    pairs: set[tuple[str, str]] = set()
-    for number, (name, recording) in enumerate(recordings.items()):
-        rest = [i for i in range(len(index.names)) if i != number]
-        if not rest:
-            break
-        matcher = AlignmentMatcher(index.subset(rest))
-        rate, seconds = recording.sample_rate_hz, min(DUPLICATE_S, recording.duration_s)
-        for share in (0.3, 0.7):
-            first = round(share * (recording.duration_s - seconds) * rate)
-            result = matcher.query(recording.samples[first : first + round(seconds * rate)], rate)
-            if result.accepted and result.similarity > DUPLICATE_SIMILARITY:
-                pairs.add((min(name, result.track), max(name, result.track)))
-    return sorted(pairs)
 
 
 def build_index(recordings: Mapping[str, Recording], path: Path) -> None:

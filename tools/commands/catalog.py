@@ -1,17 +1,20 @@
-"""`downbeat catalog`: build an index of tracks, match a recording, show rules."""
+"""`downbeat catalog`: build an index of tracks, add, remove, match a recording, show rules."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 
 @dataclass(frozen=True)
 class Build:
-    """Make a catalogue of a folder of recordings: tempo, beats, sections, fingerprint index."""
+    """Make or update the catalogue of a folder: tempo, beats, sections, fingerprint index.
+
+    Only new and changed files are analysed; tracks whose file is gone are dropped.
+    """
 
     audio: tyro.conf.Positional[Path]
     """Folder of audio files (wav, flac, ogg, mp3)."""
@@ -28,6 +31,40 @@ class Build:
 
 
 @dataclass(frozen=True)
+class Add:
+    """Add one recording to a catalogue, or take its new content."""
+
+    index: tyro.conf.Positional[Path]
+    """Folder made by `downbeat catalog build`, or its index.bin."""
+    audio: tyro.conf.Positional[Path]
+    """Recording; the track has its file's name."""
+    seed: int = 0
+    """Assigns a skill."""
+
+    def run(self) -> int:
+        """Add it."""
+        from downbeat.tools.catalog_tools import add
+
+        return add(self.index, self.audio, self.seed)
+
+
+@dataclass(frozen=True)
+class Remove:
+    """Take one track out of a catalogue; its TOML file is put aside as NAME.toml.removed."""
+
+    index: tyro.conf.Positional[Path]
+    """Folder made by `downbeat catalog build`, or its index.bin."""
+    name: tyro.conf.Positional[str]
+    """Track."""
+
+    def run(self) -> int:
+        """Remove it."""
+        from downbeat.tools.catalog_tools import remove
+
+        return remove(self.index, self.name)
+
+
+@dataclass(frozen=True)
 class Match:
     """Ask a catalogue what a recording is and where in the track it stands."""
 
@@ -39,6 +76,8 @@ class Match:
     """Start of the window in the recording [s]."""
     seconds: float = 5.0
     """Length of the window [s]; a shorter recording is taken whole."""
+    matcher: Literal["alignment", "constellation"] = "alignment"
+    """Alignment of whitened spectra, or Wang's landmarks (confidence from 0 to 1)."""
     json: bool = False
     """Print track, tau_s, confidence, votes, rate, accepted and more as one JSON object."""
 
@@ -46,7 +85,7 @@ class Match:
         """Match; 0 if accepted."""
         from downbeat.tools.catalog_tools import match
 
-        return match(self.index, self.audio, self.at, self.seconds, self.json)
+        return match(self.index, self.audio, self.at, self.seconds, self.json, self.matcher)
 
 
 @dataclass(frozen=True)
@@ -65,10 +104,12 @@ class Show:
 
 @dataclass(frozen=True)
 class CatalogCommand:
-    """Tracks: `build`, `match`, `show`."""
+    """Tracks: `build`, `add`, `remove`, `match`, `show`."""
 
     what: (
         Annotated[Build, tyro.conf.subcommand("build")]
+        | Annotated[Add, tyro.conf.subcommand("add")]
+        | Annotated[Remove, tyro.conf.subcommand("remove")]
         | Annotated[Match, tyro.conf.subcommand("match")]
         | Annotated[Show, tyro.conf.subcommand("show")]
     )
