@@ -1,0 +1,181 @@
+"""Catalogues kept up to date: what changed and nothing else, the same as from nothing."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import soundfile
+
+from downbeat.perception.errors import PerceptionError
+from downbeat.perception.index import Index
+from downbeat.tools import catalog_build, catalog_tools
+from downbeat.tools.catalog_build import add_track, index_path, remove_track, update_catalog
+from downbeat.tools.duplicates import find_duplicates
+from downbeat.tools.errors import ToolError
+from downbeat.tools.recordings import INDEX_NAME
+
+RATE = 16_000
+DANCES = ["disco", "salsastep", "thriller"]
+
+
+def song(seed, seconds=12.0):
+    """Plucked notes drawn from a seed."""
+    rng = np.random.default_rng(seed)
+    out = np.zeros(round(seconds * RATE), np.float32)
+    for start_s in np.arange(0.0, seconds - 0.6, 0.2):
+        t = np.arange(round(0.6 * RATE)) / RATE
+        hertz = 110.0 * 2 ** (rng.integers(0, 48) / 12)
+        note = sum(np.sin(2 * np.pi * hertz * k * t) / k for k in range(1, 6)) * np.exp(-5 * t)
+        first = round(start_s * RATE)
+        out[first : first + len(t)] += 0.1 * note.astype(np.float32)
+    return out
+
+
+@pytest.fixture
+def audio(tmp_path):
+    folder = tmp_path / "audio"
+    folder.mkdir()
+    for number in range(3):
+        soundfile.write(folder / f"song{number}.wav", song(number), RATE)
+    return folder
+
+
+@pytest.fixture
+def analysed(monkeypatch):
+    """Names of the recordings that were analysed, with beats made up to save time."""
+    from downbeat.catalog.beatgrid import BeatGrid
+
+    names = []
+
+    def grid(recording, _say):
+        names.append(recording.name)
+        return BeatGrid(120.0, 0.0)
+
+    monkeypatch.setattr(catalog_build, "cached_grid", grid)
+    return names
+
+
+def build(audio, out):
+    said = []
+    index, changes = update_catalog(audio, out, DANCES, 0, said.append, is_quiet=True)
+    return index, changes, said
+
+
+def test_only_new_and_changed_files_are_analysed(audio, tmp_path, analysed):
+    out = tmp_path / "out"
+    build(audio, out)
+    assert sorted(analysed) == ["song0", "song1", "song2"]
+    analysed.clear()
+    before = (out / INDEX_NAME).stat().st_mtime_ns
+    _, changes, _ = build(audio, out)
+    assert changes.is_empty and analysed == []
+    assert (out / INDEX_NAME).stat().st_mtime_ns == before
+    soundfile.write(audio / "song1.wav", song(11), RATE)
+    soundfile.write(audio / "song3.wav", song(3), RATE)
+    (audio / "song0.wav").unlink()
+    _, changes, _ = build(audio, out)
+    assert sorted(analysed) == ["song1", "song3"]
+    assert (changes.kept, changes.made, changes.dropped) == (
+        ["song2"], ["song1", "song3"], ["song0"],
+    )  # fmt: skip
+
+
+def test_updates_equal_a_build_from_nothing_bit_for_bit(audio, tmp_path, analysed):
+    out, fresh = tmp_path / "out", tmp_path / "fresh"
+    build(audio, out)
+    soundfile.write(audio / "aaa.wav", song(8), RATE)
+    soundfile.write(audio / "song2.wav", song(12), RATE)
+    (audio / "song1.wav").unlink()
+    build(audio, out)
+    build(audio, fresh)
+    assert (out / INDEX_NAME).read_bytes() == (fresh / INDEX_NAME).read_bytes()
+    remove_track(out, "aaa")
+    assert (out / INDEX_NAME).read_bytes() != (fresh / INDEX_NAME).read_bytes()
+    add_track(out, audio / "aaa.wav", DANCES, 0, print)
+    assert (out / INDEX_NAME).read_bytes() == (fresh / INDEX_NAME).read_bytes()
+
+
+def test_a_persons_rules_outlive_an_update(audio, tmp_path, analysed):
+    out = tmp_path / "out"
+    build(audio, out)
+    path = out / "song1.toml"
+    text = re.sub(r'default_skill = ".*"', 'default_skill = "wave"', path.read_text())
+    rule = '\n[[section]]\nstart_s = 1.0\nend_s = 4.0\nname = "verse"\nskill = "thriller"\n'
+    path.write_text(text + rule)
+    kept = path.read_text()
+    build(audio, out)
+    assert path.read_text() == kept
+    soundfile.write(audio / "song1.wav", song(1, 14.0), RATE)
+    build(audio, out)
+    assert '"wave"' in path.read_text() and "duration_s = 14.0" in path.read_text()
+    assert '"thriller"' in path.read_text()
+    (audio / "song1.wav").unlink()
+    build(audio, out)
+    assert not path.exists()
+    soundfile.write(audio / "song1.wav", song(1, 14.0), RATE)
+    build(audio, out)
+    assert '"wave"' in path.read_text() and '"thriller"' in path.read_text()
+
+
+def test_what_is_no_recording_is_left_out_in_one_sentence(audio, tmp_path, analysed):
+    (audio / "broken.wav").write_bytes(b"nonsense")
+    soundfile.write(audio / "silent.wav", np.zeros(5 * RATE, np.float32), RATE)
+    soundfile.write(audio / "song0.flac", song(0), RATE)
+    index, changes, _ = build(audio, tmp_path / "out")
+    assert index.names == ["song0", "song1", "song2"]
+    reasons = " ".join(changes.left_out)
+    assert len(changes.left_out) == 3
+    for words in ("not an audio file", "silent or shorter", "the name of another recording"):
+        assert words in reasons
+
+
+def test_a_damaged_index_is_said_and_built_again(audio, tmp_path, analysed):
+    out = tmp_path / "out"
+    build(audio, out)
+    good = (out / INDEX_NAME).read_bytes()
+    (out / INDEX_NAME).write_bytes(good[:-50])
+    analysed.clear()
+    _, _, said = build(audio, out)
+    assert sorted(analysed) == ["song0", "song1", "song2"]
+    assert "damaged" in said[0]
+    assert (out / INDEX_NAME).read_bytes() == good
+
+
+def test_a_folder_without_recordings_is_one_sentence(tmp_path, analysed):
+    (tmp_path / "audio").mkdir()
+    (tmp_path / "audio" / "a.wav").write_bytes(b"nonsense")
+    with pytest.raises(PerceptionError, match="no recording that can be used"):
+        build(tmp_path / "audio", tmp_path / "out")
+
+
+def test_removing_what_is_not_there_names_what_is(audio, tmp_path, analysed):
+    out = tmp_path / "out"
+    build(audio, out)
+    with pytest.raises(ToolError, match="holds song0, song1, song2"):
+        remove_track(out, "song9")
+    remove_track(out, "song0")
+    remove_track(out / INDEX_NAME, "song1")
+    with pytest.raises(ToolError, match="only track"):
+        remove_track(out, "song2")
+    assert Index.load(index_path(out)).names == ["song2"]
+
+
+def test_the_same_recording_under_two_names_is_named(audio, tmp_path, analysed):
+    loud = song(1)[2 * RATE :] * 0.5
+    noise = np.random.default_rng(0).standard_normal(len(loud)).astype(np.float32)
+    soundfile.write(audio / "copy of 1.wav", loud + 0.005 * noise, RATE)
+    index, _, _ = build(audio, tmp_path / "out")
+    assert find_duplicates(index) == [("copy of 1", "song1")]
+
+
+@pytest.mark.parametrize("matcher", ["alignment", "constellation"])
+def test_match_prints_its_answer_as_json(audio, tmp_path, analysed, capsys, matcher):
+    out = tmp_path / "out"
+    build(audio, out)
+    code = catalog_tools.match(out, audio / "song2.wav", 3.0, 5.0, True, matcher)
+    found = json.loads(capsys.readouterr().out)
+    assert code == 0
+    assert {"track", "tau_s", "confidence", "votes", "rate", "accepted"} <= set(found)
+    assert (found["track"], found["accepted"]) == ("song2", True)
+    assert found["tau_s"] == pytest.approx(3.0, abs=0.05)
