@@ -70,6 +70,7 @@ def run_eval_mashup(args: MashupArgs) -> int:
         atlas="" if args.atlas is None else str(args.atlas.resolve()),
         mass_scale=mass_scale,
         friction=friction,
+        hearing="" if args.hearing is None else str(args.hearing.resolve()),
     )
     play(show, run_dir, mashup, args.realtime, args.url)
     metrics = finish_run(run_dir, video=args.video, quiet=args.json)

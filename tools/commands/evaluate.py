@@ -46,6 +46,8 @@ class Mashup:
     """Folder of proven changes (downbeat sweep); default: the bundled one."""
     perturb: bool = True
     """Draw the plant's mass (+-5 %) and friction (0.5 to 0.8) by the seed."""
+    hearing: Path | None = None
+    """hearing.toml: matcher, router, gates, or the paper's way to listen (docs/hearing.md)."""
     json: bool = False
     """Print metrics as one JSON object on standard output."""
 
@@ -162,9 +164,7 @@ class Sections:
         """Run it; 0."""
         from downbeat.tools.eval_sections import eval_sections
 
-        return eval_sections(
-            self.tracks, self.section_seconds, self.mashups, self.seed, self.json
-        )
+        return eval_sections(self.tracks, self.section_seconds, self.mashups, self.seed, self.json)
 
 
 @dataclass(frozen=True)
@@ -233,6 +233,34 @@ class Likeness:
 
 
 @dataclass(frozen=True)
+class Unknown:
+    """Dance to recordings that the catalogue lacks, by the whole chain; how far off the beat?"""
+
+    tracks: Path
+    """Folder of recordings that are the catalogue."""
+    strangers: Path
+    """Folder of other recordings; those with a steady beat are played."""
+    seconds: float = 40.0
+    """Of each stranger, from anywhere in it [s]."""
+    count: int = 20
+    """Strangers at most."""
+    seed: int = 0
+    """Chooses strangers, passages and the plant's noise."""
+    runs: Path = Path("runs")
+    """Where runs are kept."""
+    json: bool = False
+    """Print the score as one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Run it; 0 if nobody fell."""
+        from downbeat.tools.eval_unknown import eval_unknown
+
+        return eval_unknown(
+            self.tracks, self.strangers, self.seconds, self.count, self.seed, self.runs, self.json
+        )
+
+
+@dataclass(frozen=True)
 class Eval:
     """Evaluate: `mashup` (M20, M30 of the paper), `chunks` (single windows), `beat`, `speech`."""
 
@@ -240,6 +268,7 @@ class Eval:
         Annotated[Mashup, tyro.conf.subcommand("mashup")]
         | Annotated[Chunks, tyro.conf.subcommand("chunks")]
         | Annotated[Sections, tyro.conf.subcommand("sections")]
+        | Annotated[Unknown, tyro.conf.subcommand("unknown")]
         | Annotated[Beat, tyro.conf.subcommand("beat")]
         | Annotated[Speech, tyro.conf.subcommand("speech")]
         | Annotated[Likeness, tyro.conf.subcommand("likeness")]
