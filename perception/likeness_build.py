@@ -14,6 +14,7 @@ from downbeat.perception.likeness import CatalogLikeness, Embedder, is_sounding
 from downbeat.perception.likeness_embedded import EmbeddedDescriptor
 from downbeat.perception.likeness_store import LikenessTable
 from downbeat.perception.source import Recording
+from downbeat.policies.manifest import SkillManifest
 
 LIKENESS_NAME = "likeness.npz"
 """Beside the index of the catalogue."""
@@ -76,6 +77,15 @@ def load_likeness(
         PerceptionError: The file is missing, damaged or of another embedder, or there are no words.
     """
     return CatalogLikeness(LikenessTable.load(path), embedder or EmbeddedDescriptor(), skills)
+
+
+def skill_sentences(skills: Mapping[str, SkillManifest]) -> dict[str, list[str]]:
+    """Return what music for each dance is called, from the phrases and descriptions of manifests.
+
+    Skills without a tempo are no dances, and skills without words cannot be described: left out.
+    """
+    texts = {n: (*m.phrases, *m.descriptions) for n, m in skills.items() if m.bpm > 0}
+    return {n: [f"music to dance to: {t}" for t in ts] for n, ts in texts.items() if ts}
 
 
 def embed_recording(embedder: Embedder, recording: Recording) -> F32 | None:

@@ -11,11 +11,12 @@ from synthetic_music import make_music
 
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.likeness import CatalogLikeness, Similar
-from downbeat.perception.likeness_build import build_likeness, load_likeness
+from downbeat.perception.likeness_build import build_likeness, load_likeness, skill_sentences
 from downbeat.perception.likeness_embedded import WEIGHTS, EmbeddedDescriptor
 from downbeat.perception.likeness_features import describe
 from downbeat.perception.likeness_store import LikenessTable
 from downbeat.perception.source import Recording, load_recording
+from downbeat.policies.manifest import load_skills
 
 RATE = 16_000
 
@@ -169,6 +170,13 @@ def test_the_embedded_descriptor_says_that_it_has_no_words(
         likeness.skills_by_text(make_music(0, 6.0, RATE), RATE)
     with pytest.raises(PerceptionError, match="no words"):
         load_likeness(catalogue, skills={"salsa": ["latin dance"]})
+
+
+def test_every_dance_is_described_in_words_and_nothing_else_is() -> None:
+    sentences = skill_sentences(load_skills())
+    assert "music to dance to: latin dance" in sentences["salsa"]
+    assert set(sentences) == {n for n, m in load_skills().items() if m.bpm > 0}
+    assert "stand" not in sentences
 
 
 def test_the_weights_are_small_and_foreign_ones_are_refused(tmp_path: Path) -> None:
