@@ -24,7 +24,7 @@ from downbeat.runtime.bus import Bus
 log = logging.getLogger("downbeat.listener")
 
 HOP_US = 250_000
-RING_S = 6.0
+RING_S = 8.5
 CLASS_WINDOW_S = 1.0
 PAUSE_DBFS = -50.0
 """Below this a second of sound is a pause: too little to judge a lock by."""

@@ -8,6 +8,7 @@ Measured in docs/matcher.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -48,9 +49,14 @@ voices, animals and tones: at most 0.3 % of 2, 3 and 5 s windows of strangers st
 windows meet more chance."""
 
 
-def threshold(seconds: float) -> float:
+LOCK_THRESHOLDS = ((1.0, 4.2), (1.25, 4.0), (2.0, 3.6), (3.0, 3.4), (5.0, 3.4), (8.0, 3.6))
+"""The same for a lock: a listener that is lost asks 70,000 windows an hour, and each may be wrong.
+Found on streams of strangers (tools/chunks_stream.py)."""
+
+
+def threshold(seconds: float, table: Sequence[tuple[float, float]] = THRESHOLDS) -> float:
     """Return the acceptance score that a window of this length needs."""
-    lengths, scores = zip(*THRESHOLDS)
+    lengths, scores = zip(*table)
     return float(np.interp(seconds, lengths, scores))
 
 
@@ -64,6 +70,7 @@ class MatchResult:
         rate: Track seconds per real second.
         confidence: Acceptance score.
         accepted: The score passes the threshold of the window's length.
+        doubtful: It does not pass that of a lock.
         similarity: Best raw correlation, -1..1.
         runner_up: Best other track; empty if it is a decoy.
         runner_up_confidence: Its raw correlation.
@@ -76,6 +83,7 @@ class MatchResult:
     rate: float = 1.0
     confidence: float = 0.0
     accepted: bool = False
+    doubtful: bool = False
     similarity: float = 0.0
     runner_up: str = ""
     runner_up_confidence: float = 0.0
@@ -242,13 +250,15 @@ class AlignmentMatcher:
         margin = best.similarity - RUNNER_UP_SHARE * second
         score = margin / (chance + SPREAD_FLOOR) * rich
         score -= RATE_PENALTY * abs(best.rate - 1.0)
+        seconds = len(values) * ft.HOP_S
         is_track = other is not None and other.track < len(self.names)
         return MatchResult(
             track=self.names[best.track],
             tau_s=best.tau_s,
             rate=best.rate,
             confidence=score,
-            accepted=score > threshold(len(values) * ft.HOP_S),
+            accepted=score > threshold(seconds),
+            doubtful=score <= threshold(seconds, LOCK_THRESHOLDS),
             similarity=best.similarity,
             runner_up=self.names[other.track] if other is not None and is_track else "",
             runner_up_confidence=second,

@@ -28,7 +28,7 @@ REGAIN_SHARE = 0.75
 """After a bad hop more is asked for: half of the check may be new, and alike by chance."""
 DROP_AFTER_HOPS = 3
 SHORTEST_S, LONGEST_S = 1.0, 5.0
-LOST_LENGTHS_S = (1.25, 2.0, 3.0, 5.0)
+LOST_LENGTHS_S = (1.25, 2.0, 3.0, 5.0, 8.0)
 LOOK_BACK_S = 0.25
 """A search begins this much before the last good check: some of that check may have been new."""
 COAST_US, PAUSE_US = 3_000_000, 4_000_000
@@ -157,6 +157,10 @@ class Rival:
     evidence: float = 0.0
 
 
+def _is_sure(result: MatchResult) -> bool:
+    return result.accepted and not result.doubtful
+
+
 class Tracker:
     """The lock's state machine; `update` once per hop."""
 
@@ -269,7 +273,7 @@ class Tracker:
         if seconds < SHORTEST_S:
             return None
         result, found = self._query(ring, now, min(seconds, LONGEST_S))
-        if not result.accepted or place.is_near(found):
+        if not _is_sure(result) or place.is_near(found):
             return None  # the old place may fit the whole window, but not its last second
         return self._lock_on(result, found, now)
 
@@ -301,7 +305,7 @@ class Tracker:
             lengths = [fresh_s]
         for seconds in lengths:
             result, found = self._query(ring, now, seconds)
-            if result.accepted:
+            if _is_sure(result):
                 return self._lock_on(result, found, now)
         return TrackState()
 
