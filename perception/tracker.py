@@ -37,6 +37,8 @@ second that the next check needs."""
 SAME_PLACE_S = 0.08
 POSITION_GAIN, RATE_GAIN = 0.25, 0.015
 """A loop of second order, critically damped: it averages over about eight hops."""
+SETTLING_US = 1_000_000
+"""What is corrected in the first second was an error of the place, not of the rate."""
 USUAL_GAIN = 0.2
 RATE_EVIDENCE = 0.004
 """Below this the speed is taken for nominal: a loop's noise is no change of speed."""
@@ -98,7 +100,10 @@ class Place:
         return abs(self.at(other.utime) - other.tau_s) < SAME_PLACE_S
 
     def corrected(self, correction_s: float, utime: int, elapsed_s: float) -> Place:
-        """Return the place moved by a share of what a check said, at the check's time."""
+        """Return the place moved by a share of what a check said, at the check's time.
+
+        Over `elapsed_s` since the last check the rate explains a part of it; over 0 s none.
+        """
         rate = self.rate
         if elapsed_s > 0.0:
             rate += RATE_GAIN * correction_s / elapsed_s
@@ -215,7 +220,8 @@ class Tracker:
         if self._bad_hops:
             floor, share = SURE_SIMILARITY, REGAIN_SHARE
         if similarity >= max(floor, share * self._usual):
-            elapsed_s = (now - self._last_good_utime) * 1e-6
+            is_young = now - self._locked_since_utime <= SETTLING_US
+            elapsed_s = 0.0 if is_young else (now - self._last_good_utime) * 1e-6
             self._bad_hops = self._paused_us = 0
             self._last_good_utime = now
             self._usual += USUAL_GAIN * (similarity - self._usual)
