@@ -27,8 +27,10 @@ class RouterConfig:
     """Thresholds of the rule.
 
     Attributes:
-        v_frac_min: Share of voiced frames from which a window is voiced.
+        v_frac_min: Share of voiced frames from which a window is voiced; a short command fills a
+            tenth of five seconds.
         epsilon_sp: Speech leads if p_speech - p_music is at least this.
+        p_speech_min: Speech that is less sure is none, even if it leads.
         p_music_min: Music that is less sure is none.
         evidence_min: A locked track that is this similar to what sounds is still there: the right
             place correlates by 0.3 to 0.95, a wrong one by about 0.1.
@@ -36,8 +38,9 @@ class RouterConfig:
         window_s: What is judged at once [s].
     """
 
-    v_frac_min: float = 0.3
-    epsilon_sp: float = 0.2
+    v_frac_min: float = 0.1
+    epsilon_sp: float = 0.1
+    p_speech_min: float = 0.4
     p_music_min: float = 0.5
     evidence_min: float = 0.24
     silence_dbfs: float = -60.0
@@ -49,7 +52,7 @@ class RouterConfig:
         Raises:
             PerceptionError: A value is out of its range.
         """
-        for name in ("v_frac_min", "p_music_min", "evidence_min"):
+        for name in ("v_frac_min", "p_speech_min", "p_music_min", "evidence_min"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise PerceptionError(
                     f"Router: {name} is {getattr(self, name)}; valid is above 0, at most 1."
@@ -124,8 +127,9 @@ def route(
     """
     if evidence >= config.evidence_min:
         return MUSIC
-    if p_speech - p_music >= config.epsilon_sp:
-        return SKIP if v_frac < config.v_frac_min else SPEECH
+    leads = p_speech - p_music >= config.epsilon_sp and p_speech >= config.p_speech_min
+    if leads and not v_frac < config.v_frac_min:
+        return SPEECH
     return MUSIC if p_music >= config.p_music_min and math.isfinite(p_speech) else SKIP
 
 

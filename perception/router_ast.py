@@ -204,7 +204,9 @@ class AstRouter:
 
     def hear(self, samples: F32, first_utime: int) -> None:
         """Take in a block."""
-        self._pending.append(np.asarray(samples, np.float32))
+        # One NaN would stay in the detector's state for ever.
+        clean = np.nan_to_num(np.asarray(samples, np.float32), posinf=0.0, neginf=0.0)
+        self._pending.append(clean)
         if sum(len(p) for p in self._pending) >= SAMPLE_RATE_HZ:
             self._take_in()
 

@@ -143,7 +143,9 @@ class EmbeddedRouter:
         if self._next_utime is not None and abs(first_utime - self._next_utime) > GAP_US:
             self.reset()
         self._next_utime = first_utime + round(len(samples) / SAMPLE_RATE_HZ * 1e6)
-        self._pending.append(np.asarray(samples, np.float32))
+        # One NaN would stay in the detector's state for ever.
+        clean = np.nan_to_num(np.asarray(samples, np.float32), posinf=0.0, neginf=0.0)
+        self._pending.append(clean)
         self._num_pending += len(samples)
         if self._num_pending >= PENDING_SAMPLES:
             self._analyse()

@@ -26,13 +26,13 @@ class FitOptions:
         no_voice: Share of rows that are shown without voice activity, for where there is none.
     """
 
-    hidden: int = 32
+    hidden: int = 48
     networks: int = 5
-    epochs: int = 60
+    epochs: int = 80
     batch: int = 256
     rate: float = 3e-3
     decay: float = 1e-3
-    noise: float = 0.3
+    noise: float = 0.4
     no_voice: float = 0.15
 
 

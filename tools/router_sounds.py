@@ -39,7 +39,7 @@ class Clip:
     """Something to learn.
 
     Attributes:
-        kind: "music", "song", "speech", "speech over music", "other".
+        kind: "music", "song", "sung", "speech", "speech over music", "other".
         source: What it was made of; a source is never both trained on and validated with.
         samples: (n,) 16 kHz.
         p_music: 0..1.

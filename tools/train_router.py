@@ -27,6 +27,7 @@ from downbeat.perception.source import Recording, audio_files, load_recording
 from downbeat.perception.vad import FRAME_SAMPLES, Vad, voiced_fraction
 from downbeat.tools.composer.store import COMPOSITIONS, composed_recording
 from downbeat.tools.router_fit import FitOptions, fit
+from downbeat.tools.router_singing import sing
 from downbeat.tools.router_sounds import (
     CLIP_S,
     SAMPLE_RATE_HZ,
@@ -48,8 +49,16 @@ KEPT_S = 90.0
 """Of every recording: its middle."""
 VALIDATED_EVERY = 5
 RATIO_DB = (-12.0, 15.0)
-KINDS = ("song", "music", "speech", "speech over music", "other", "other on tape")
-KIND_SHARES = (0.2, 0.14, 0.2, 0.28, 0.1, 0.08)
+SUNG_DB = (-6.0, 10.0)
+KIND_SHARES = {
+    "song": 0.15,
+    "sung": 0.10,
+    "music": 0.12,
+    "speech": 0.20,
+    "speech over music": 0.26,
+    "other": 0.10,
+    "other on tape": 0.07,
+}
 
 
 @dataclass
@@ -192,11 +201,11 @@ def windows(samples: F32, rng: np.random.Generator, vad: Vad) -> Iterator[tuple[
 
 def make_clip(sounds: Sounds, rng: np.random.Generator) -> Clip:
     """Make one clip of a kind drawn by KIND_SHARES."""
-    kind = str(rng.choice(KINDS, p=KIND_SHARES))
+    kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
     voices = sounds.people if sounds.people and rng.random() < 0.75 else sounds.robots
     voices = voices or sounds.people
     songs = sounds.songs if sounds.songs and rng.random() < 0.4 else sounds.music
-    if kind.startswith("speech") and not voices:
+    if kind.startswith(("speech", "sung")) and not voices:
         kind = "music"
     if kind == "other on tape" and sounds.other:
         name, sound = piece(sounds.other, rng)
@@ -209,6 +218,12 @@ def make_clip(sounds: Sounds, rng: np.random.Generator) -> Clip:
     if kind == "speech":
         name, sound = piece(voices, rng)
         return Clip(kind, name, heard(_sparse(sound, rng), rng), 0.0, 1.0)
+    if kind == "sung":
+        voice, speech = piece(voices, rng)
+        sung = sing(speech, rng)
+        if rng.random() < 0.85:
+            sung = over_music(sung, piece(sounds.music, rng)[1], rng.uniform(*SUNG_DB))
+        return Clip(kind, voice, heard(sung, rng), 1.0, 0.0)
     chosen = songs if kind == "speech over music" else sounds.songs if kind == "song" else None
     name, music = piece(chosen or sounds.music, rng)
     if kind == "speech over music":
