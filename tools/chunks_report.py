@@ -11,7 +11,7 @@ from rich.table import Table
 
 from downbeat.tools.chunks_paper import PAPER_ACCURACY, PaperScore
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts
-from downbeat.tools.chunks_stream import StreamScore
+from downbeat.tools.chunks_stream import Cost, StreamScore
 
 SHORT_S = 3.0
 SHORT = f", {SHORT_S:g} s"
@@ -24,6 +24,13 @@ MUSIC, KIN, RECOMBINED, NO_MUSIC, SILENT = (
     "silence",
 )
 """Classes of what must be refused; KIN is a part of MUSIC, and a class of its own."""
+HOW = (
+    "track: best track right, accepted or not. and place: right within 0.1 s, or at a repeat. "
+    "accepted: that, and accepted. wrong: accepted, another track or place. repeat: part of "
+    "'and place', where the reference is the identical recording (normalised cross-correlation 0.8 "
+    "or more over 4 s, lag 60 ms at most) at another time. "
+    f"{SHORT_S:g} s: 'accepted' by its first part alone."
+)
 
 
 @dataclass
@@ -40,6 +47,7 @@ class ChunkReport:
     paper: dict[str, PaperScore] = field(default_factory=dict)
     streams: dict[str, StreamScore] = field(default_factory=dict)
     false_locks: dict[str, tuple[float, list[str]]] = field(default_factory=dict)
+    cost: Cost = field(default_factory=Cost)
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract of `--json`; shares are 0..1."""
@@ -47,16 +55,11 @@ class ChunkReport:
         total, correct = clean.n, clean.accepted
         if paper := self.paper.get("clean"):
             total, correct = paper.total, paper.correct
-        counted = FalseAccepts()
-        for name in (MUSIC, RECOMBINED, NO_MUSIC, SILENT):
-            part = self.refused.get(name, FalseAccepts())
-            counted.n += part.n
-            counted.accepted += part.accepted
-            counted.names += part.names
         return {
             "chunks": {"total": total, "correct": correct},
             "conditions": {name: score.shares() for name, score in self.conditions.items()},
-            "false_accepts": counted.shares(),
+            "false_accepts": self.all_refused("").shares(),
+            "false_accepts_short": self.all_refused(SHORT).shares(),
             "false_accepts_by_class": {n: p.shares() for n, p in self.refused.items()},
             "query_ms": self._quantiles(),
             "paper": {name: score.shares() for name, score in self.paper.items()},
@@ -65,6 +68,7 @@ class ChunkReport:
                 name: {"minutes": round(seconds / 60.0, 1), "locks": len(locks), "which": locks}
                 for name, (seconds, locks) in self.false_locks.items()
             },
+            "listener_share_of_a_core": round(self.cost.share, 4),
             "catalogue": {
                 "tracks": self.catalogue,
                 "minutes": round(self.minutes, 2),
@@ -73,6 +77,16 @@ class ChunkReport:
                 "kib_per_minute": round(self.index_bytes / 1024.0 / max(self.minutes, 1e-9), 1),
             },
         }
+
+    def all_refused(self, suffix: str) -> FalseAccepts:
+        """Return what must be refused of all classes, at one length of window."""
+        counted = FalseAccepts()
+        for name in (MUSIC, RECOMBINED, NO_MUSIC, SILENT):
+            part = self.refused.get(name + suffix, FalseAccepts())
+            counted.n += part.n
+            counted.accepted += part.accepted
+            counted.names += part.names
+        return counted
 
     def _quantiles(self) -> dict[str, float]:
         values = self.query_ms or [float("nan")]
@@ -109,7 +123,8 @@ def print_report(report: ChunkReport) -> None:
 def _print_windows(console: Console, report: ChunkReport) -> None:
     table = Table(
         "condition", "n", "track", "and place", "accepted", "wrong", "repeat", f"{SHORT_S:g} s",
-        title="[%]",
+        title="[%] of the windows that hold sound",
+        caption=HOW,
     )  # fmt: skip
     for name, score in report.conditions.items():
         if name.endswith(SHORT):
@@ -121,7 +136,8 @@ def _print_windows(console: Console, report: ChunkReport) -> None:
         table.add_row(name, str(score.n), *shares, repeats, f"{100.0 * short:.1f}")
     console.print(table)
     table = Table("must be refused", "n", "accepted", "%", "upper 95 %")
-    for name, part in report.refused.items():
+    totals = {f"all{suffix}": report.all_refused(suffix) for suffix in ("", SHORT)}
+    for name, part in {**report.refused, **totals}.items():
         rate = f"{100.0 * part.accepted / max(part.n, 1):.2f}"
         table.add_row(name, str(part.n), str(part.accepted), rate, f"{100.0 * part.upper95:.2f}")
     console.print(table)
@@ -156,6 +172,8 @@ def _print_streams(console: Console, report: ChunkReport) -> None:
             highlight=False,
             soft_wrap=True,
         )
+    if report.cost.heard_s:
+        console.print(f"listener: {100.0 * report.cost.share:.1f} % of a core", highlight=False)
     for name, (seconds, locks) in report.false_locks.items():
         said = f"false locks in {seconds / 60.0:.0f} min of {name}: {len(locks)}"
         console.print("; ".join([said, *locks[:5]]), highlight=False, soft_wrap=True)

@@ -27,6 +27,24 @@ Judge = Callable[[Query, MatchResult, ConditionScore], bool]
 
 
 @dataclass
+class Cost:
+    """Processor time of the listener [s], and the sound that it heard [s]."""
+
+    spent_s: float = 0.0
+    heard_s: float = 0.0
+
+    def add(self, spent_s: float, sound: Recording) -> None:
+        """Add one recording."""
+        self.spent_s += spent_s
+        self.heard_s += sound.duration_s
+
+    @property
+    def share(self) -> float:
+        """Of one core, in real time."""
+        return self.spent_s / max(self.heard_s, 1e-9)
+
+
+@dataclass
 class StreamScore:
     """What the listener made of clips.
 
@@ -69,10 +87,16 @@ def clips(
 
 
 def hear_clip(
-    matcher: AlignmentMatcher, start_s: float, clip: Recording, judge: Judge, score: StreamScore
+    matcher: AlignmentMatcher,
+    start_s: float,
+    clip: Recording,
+    judge: Judge,
+    score: StreamScore,
+    cost: Cost,
 ) -> None:
     """Let the listener hear a clip from a cold start and count what it says at the end."""
-    heard, _spent_s = listen(matcher, clip)
+    heard, spent_s = listen(matcher, clip)
+    cost.add(spent_s, clip)
     locked = [h for h in heard if h.lock == music_match_t.LOCKED]
     first = next((h.time_s for h in locked if h.track == clip.name), float("inf"))
     score.n += 1
@@ -121,9 +145,10 @@ def foreign_stream(sounds: Sequence[Recording], seconds: float, seed: int) -> Re
     return Recording("foreign", np.concatenate(parts), rate)
 
 
-def count_locks(matcher: AlignmentMatcher, sound: Recording) -> list[str]:
+def count_locks(matcher: AlignmentMatcher, sound: Recording, cost: Cost) -> list[str]:
     """Return every lock that the listener takes on a recording, as text."""
-    heard, _spent_s = listen(matcher, sound)
+    heard, spent_s = listen(matcher, sound)
+    cost.add(spent_s, sound)
     locks = []
     before = ""
     for hop in heard:

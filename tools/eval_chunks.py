@@ -6,24 +6,27 @@ no memory, one window of 5 s or of its first 3 s.
 
 from __future__ import annotations
 
-import csv
 import json
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import soxr
 from rich.progress import track as progress
 
 from downbeat.catalog.tracks import BUNDLED_TRACKS, Track, load_tracks
 from downbeat.perception import features as ft
 from downbeat.perception.features import F32
-from downbeat.perception.index import Index
 from downbeat.perception.matcher import AlignmentMatcher, MatchResult
 from downbeat.perception.source import Recording
+from downbeat.tools.chunks_folder import (
+    RATE_HZ,
+    at_rate,
+    make_index,
+    read_folder,
+    read_groups,
+)
 from downbeat.tools.chunks_make import (
     CHUNK_S,
     Query,
@@ -64,8 +67,6 @@ from downbeat.tools.errors import ToolError
 from downbeat.tools.matcher_sounds import load_folder, make_babble, synthetic_sounds
 from downbeat.tools.rundir import CACHE_DIR
 
-RATE_HZ = 44_100
-"""All sound is degraded at this rate."""
 COMPOSED = CACHE_DIR / "tracks"
 PAPER_CONDITIONS = ("clean", "robot")
 
@@ -119,13 +120,13 @@ class ChunkStudy:
         else:
             pieces = load_folder(options.tracks)
         self.recordings = {
-            name: replace(_at_rate(recording), name=name) for name, recording in pieces.items()
+            name: replace(at_rate(recording), name=name) for name, recording in pieces.items()
         }
         if len(self.recordings) < 2:
             raise ToolError(f"{options.tracks} holds one recording; the study needs two or more.")
-        self.groups = _read_groups(options.groups)
-        self.voices = _folder(options.speech)
-        self.others = _folder(options.other)
+        self.groups = read_groups(options.groups)
+        self.voices = read_folder(options.speech)
+        self.others = read_folder(options.other)
         babble = None
         if self.voices:
             babble = make_babble([v.samples for v in self.voices], 30.0, RATE_HZ)
@@ -139,7 +140,7 @@ class ChunkStudy:
             self.degradations = [d for d in self.degradations if d.name in options.only]
         self.report = ChunkReport(catalogue=len(self.recordings))
         begin = time.process_time()
-        self.index = _index(self.recordings.values())
+        self.index = make_index(self.recordings.values())
         self.report.index_s = time.process_time() - begin
         self.report.index_bytes = sum(fine.nbytes for fine in self.index.fine)
         self.report.minutes = sum(r.duration_s for r in self.recordings.values()) / 60.0
@@ -164,7 +165,7 @@ class ChunkStudy:
         for number, name in enumerate(rest):
             self._unknown(number, self.recordings[name])
         for query in foreign_queries([*self.voices, *self.others], self.options.per_shift):
-            self._refuse(NO_MUSIC, whole, query)
+            self._refuse([NO_MUSIC], whole, query)
         return self.report
 
     def _queries(self, recording: Recording, wanted: Iterable[Any]) -> Iterable[Query]:
@@ -184,7 +185,7 @@ class ChunkStudy:
 
     def _known(self, matcher: AlignmentMatcher, query: Query) -> None:
         if query.is_silent:
-            self._refuse(SILENT, matcher, query)
+            self._refuse([SILENT], matcher, query)
             return
         conditions = self.report.conditions
         result = self._ask(matcher, query.samples, is_timed=True)
@@ -203,15 +204,10 @@ class ChunkStudy:
         )
         negative = [d for d in self.degradations if d.is_negative_too]
         for query in self._queries(recording, negative):
-            for seconds in (CHUNK_S, SHORT_S):
-                result = self._ask(matcher, query.samples[: round(seconds * RATE_HZ)])
-                suffix = "" if seconds == CHUNK_S else SHORT
-                self._count(MUSIC + suffix, query, result)
-                if has_kin:
-                    self._count(KIN + suffix, query, result)
+            self._refuse([MUSIC, KIN] if has_kin else [MUSIC], matcher, query)
         for music in recombined(recording, self.options.seed):
             for query in clean_queries(music, self.options.per_shift):
-                self._refuse(RECOMBINED, matcher, query)
+                self._refuse([RECOMBINED], matcher, query)
 
     def _paper(self, is_quiet: bool) -> None:
         """Run the paper's experiment: its tracks alone are the catalogue."""
@@ -240,7 +236,7 @@ class ChunkStudy:
                 score = report.streams.setdefault(degradation.name, StreamScore())
                 made = clips(self.recordings[name], degradation, options.clips, options.seed)
                 for start_s, clip in made:
-                    hear_clip(matcher, start_s, clip, self.places.judge, score)
+                    hear_clip(matcher, start_s, clip, self.places.judge, score, report.cost)
         if not options.foreign_s:
             return
         share_s = options.foreign_s / len(self.recordings)
@@ -250,17 +246,18 @@ class ChunkStudy:
             rest = [i for i in range(len(self.index.names)) if i != number]
             sound = foreign_stream([recording], share_s, options.seed + number)
             stream = Recording(name, sound.samples, sound.sample_rate_hz)
-            locks += count_locks(AlignmentMatcher(self.index.subset(rest)), stream)
+            locks += count_locks(AlignmentMatcher(self.index.subset(rest)), stream, report.cost)
         report.false_locks[MUSIC] = (options.foreign_s, locks)
         sounds = [*self.voices, *self.others, *synthetic_sounds(10.0)]
-        locks = count_locks(matcher, foreign_stream(sounds, options.foreign_s, options.seed))
+        stream = foreign_stream(sounds, options.foreign_s, options.seed)
+        locks = count_locks(matcher, stream, report.cost)
         report.false_locks[NO_MUSIC] = (options.foreign_s, locks)
 
-    def _refuse(self, name: str, matcher: AlignmentMatcher, query: Query) -> None:
-        self._count(name, query, self._ask(matcher, query.samples))
-
-    def _count(self, name: str, query: Query, result: MatchResult) -> None:
-        self.report.refused.setdefault(name, FalseAccepts()).add(query, result)
+    def _refuse(self, classes: Sequence[str], matcher: AlignmentMatcher, query: Query) -> None:
+        for suffix, seconds in (("", CHUNK_S), (SHORT, SHORT_S)):
+            result = self._ask(matcher, query.samples[: round(seconds * RATE_HZ)])
+            for name in classes:
+                self.report.refused.setdefault(name + suffix, FalseAccepts()).add(query, result)
 
 
 def eval_chunks(options: ChunkOptions, as_json: bool) -> int:
@@ -271,37 +268,3 @@ def eval_chunks(options: ChunkOptions, as_json: bool) -> int:
     else:
         print_report(report)
     return 0
-
-
-def _index(recordings: Iterable[Recording]) -> Index:
-    index = Index()
-    for recording in recordings:
-        index.add(recording.name, recording.samples, recording.sample_rate_hz)
-    return index
-
-
-def _at_rate(recording: Recording) -> Recording:
-    if recording.sample_rate_hz == RATE_HZ:
-        return recording
-    samples = soxr.resample(recording.samples, recording.sample_rate_hz, RATE_HZ)
-    return Recording(recording.name, samples.astype(np.float32), RATE_HZ)
-
-
-def _folder(folder: Path | None) -> Sequence[Recording]:
-    return [] if folder is None else [_at_rate(r) for r in load_folder(folder).values()]
-
-
-def _read_groups(path: Path | None) -> Mapping[str, str]:
-    if path is None:
-        return {}
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.reader(file, delimiter="\t"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ToolError(f"Groups {path} cannot be read: {error}.") from error
-    for number, row in enumerate(rows, 1):
-        if len(row) != 2:
-            raise ToolError(
-                f"{path}:{number} has {len(row)} columns; valid are two: track, tab, group."
-            )
-    return dict(rows)

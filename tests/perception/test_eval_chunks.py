@@ -151,7 +151,7 @@ def test_a_catalogue_names_recordings_that_are_the_same_and_answers_in_json(
     said = capsys.readouterr().out
     assert "'again' and 'piece0' hold the same recording" in said
     assert "'piece1'" not in said
-    assert match(tmp_path / "catalog", audio / "piece1.wav", 6.0, 5.0, as_json=True) == 0
+    assert match(tmp_path / "catalog", audio / "piece1.wav", 6.0, 5.0, True, "alignment") == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["track"] == "piece1" and answer["accepted"] is True
     assert answer["tau_s"] == pytest.approx(6.0, abs=0.02)
