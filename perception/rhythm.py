@@ -1,0 +1,160 @@
+"""What tempo and phase the last seconds speak for: a leaky Fourier bank and a learned template.
+
+Each group of bands has one complex number per rhythmic frequency, which forgets exponentially. A
+tempo and a phase together pick some of them (the beat, its half, its harmonics) and turn them to
+where a beat would stand; a linear template then says how much that looks like a beat. The template
+knows that the bass stands on the beat and cymbals often between beats; it was learned from
+recordings by `downbeat.tools.train_follow` and is a table of numbers, no more.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+import numpy.typing as npt
+
+from downbeat.perception.onset_stream import F64, HOP_S, NUM_GROUPS, STEP_FRAMES, STEP_S
+
+C128 = npt.NDArray[np.complex128]
+
+MIN_BPM, MAX_BPM = 78.0, 164.0
+"""One octave, 80 to 160 BPM, and a little more on both sides, so that 80 and 160 are inside."""
+PER_OCTAVE = 116
+"""Tempos stand 0.6 % apart; three times a frequency is 183.9 steps up."""
+NUM_TEMPOS = int(np.floor(PER_OCTAVE * np.log2(MAX_BPM / MIN_BPM))) + 1
+TEMPOS_BPM = MIN_BPM * 2.0 ** (np.arange(NUM_TEMPOS) / PER_OCTAVE)
+PERIODS_S = 60.0 / TEMPOS_BPM
+NUM_PHASES = 24
+PHASES = np.arange(NUM_PHASES) / NUM_PHASES
+HARMONICS = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
+"""Multiples of the beat's frequency. Of the halves only the size counts: which of two beats is the
+first does not matter here."""
+WHOLE, HALVES = [1, 3, 4, 5], [0, 2]
+_SHIFTS = np.round(PER_OCTAVE * np.log2(HARMONICS)).astype(int)
+_FREQUENCIES_HZ = (
+    MIN_BPM / 60.0 * 2.0 ** (np.arange(_SHIFTS[0], NUM_TEMPOS + _SHIFTS[-1]) / PER_OCTAVE)
+)
+_PICK = np.arange(NUM_TEMPOS)[:, None] + _SHIFTS - _SHIFTS[0]  # (NUM_TEMPOS, harmonics)
+MEMORY_S = 4.0
+"""The bank forgets to 1/e in this time."""
+LEVEL_S = 4.0
+LEVEL_FLOOR = 0.02
+"""Growth of log energy per frame that is nothing; music has 0.05 to 0.3."""
+MAX_STRENGTH = 6.0
+"""One loud crash counts no more than this many mean frames."""
+_TURN = np.exp(2j * np.pi * np.outer(HARMONICS, PHASES))  # (harmonics, NUM_PHASES)
+
+
+class Equaliser:
+    """Brings every group of bands to the same mean, by what was heard so far."""
+
+    def __init__(self) -> None:
+        self._mean = np.zeros(NUM_GROUPS)
+        self._weight = 0.0
+
+    def push(self, onsets: F64) -> F64:
+        """Return a step, (STEP_FRAMES, NUM_GROUPS), with a mean near zero."""
+        keep = float(np.exp(-STEP_S / LEVEL_S))
+        self._mean = keep * self._mean + (1.0 - keep) * onsets.mean(axis=0)
+        self._weight = keep * self._weight + 1.0 - keep
+        mean = self._mean / self._weight
+        strength = np.minimum(onsets / (mean + LEVEL_FLOOR), MAX_STRENGTH)
+        return np.asarray(strength - mean / (mean + LEVEL_FLOOR))
+
+    @property
+    def activity(self) -> float:
+        """Mean growth of log energy per frame, over the groups."""
+        return float(self._mean.mean() / max(self._weight, 1e-9))
+
+
+class RhythmBank:
+    """Fourier coefficients of the onsets at rhythmic frequencies, forgetting."""
+
+    def __init__(self, memory_s: float = MEMORY_S) -> None:
+        self._keep = float(np.exp(-STEP_S / memory_s))
+        self._omega = 2.0 * np.pi * _FREQUENCIES_HZ
+        ages = HOP_S * (STEP_FRAMES - np.arange(STEP_FRAMES))
+        self._in = np.exp(1j * np.outer(self._omega, ages))
+        self._on = np.exp(1j * self._omega * STEP_S)[:, None] * self._keep
+        self._sums: C128 = np.zeros((len(self._omega), NUM_GROUPS), np.complex128)
+        self._power = np.zeros(NUM_GROUPS)
+        self._frames = 0.0
+
+    def push(self, strength: F64) -> None:
+        """Hear one step of an Equaliser, (STEP_FRAMES, NUM_GROUPS)."""
+        self._sums = self._on * self._sums + self._in @ strength
+        self._power = self._keep * self._power + (strength**2).sum(axis=0)
+        self._frames = self._keep * self._frames + STEP_FRAMES
+
+    def coefficients(self) -> C128:
+        """Return what each tempo picks, (NUM_TEMPOS, NUM_GROUPS, harmonics).
+
+        Sizes are 0..1; phase 0 is the end of the last step: a beat phi periods later gives a
+        positive number when it is turned by exp(2 pi i m phi).
+        """
+        size = np.sqrt(self._power * self._frames) + 1e-6 + 0.05 * self._frames
+        picked = (self._sums / size)[_PICK]  # (NUM_TEMPOS, harmonics, NUM_GROUPS)
+        return np.asarray(picked.transpose(0, 2, 1))
+
+
+@dataclass(frozen=True)
+class BeatTemplate:
+    """What a beat looks like in the coefficients.
+
+    Attributes:
+        whole: (NUM_GROUPS, 4) complex weights of the whole harmonics.
+        halves: (NUM_GROUPS, 2) weights of |real part| at the halves.
+        sizes: (NUM_GROUPS, harmonics) weights of the sizes.
+        tempo: (2,) weights of log2(BPM / 120) and its square.
+    """
+
+    whole: C128
+    halves: F64
+    sizes: F64
+    tempo: F64
+
+    def score(self, coefficients: C128) -> F64:
+        """Return the score of every tempo and phase, (NUM_TEMPOS, NUM_PHASES)."""
+        whole = np.einsum("tgm,gm->tm", coefficients[:, :, WHOLE], self.whole)
+        score = (whole @ _TURN[WHOLE]).real
+        halves = coefficients[:, :, HALVES, None] * _TURN[HALVES]
+        score += np.einsum("tgmp,gm->tp", np.abs(halves.real), self.halves)
+        octaves = np.log2(TEMPOS_BPM / 120.0)
+        flat = np.einsum("tgm,gm->t", np.abs(coefficients), self.sizes)
+        flat += self.tempo[0] * octaves + self.tempo[1] * octaves**2
+        return np.asarray(score + flat[:, None])
+
+
+def features(coefficients: C128) -> F64:
+    """Return what `weights` weighs, (NUM_TEMPOS, NUM_PHASES, n); for learning only."""
+    turned = coefficients[:, None] * _TURN.T[None, :, None, :]
+    whole = turned[..., WHOLE].reshape(NUM_TEMPOS, NUM_PHASES, -1)
+    halves = np.abs(turned[..., HALVES].real).reshape(NUM_TEMPOS, NUM_PHASES, -1)
+    sizes = np.abs(turned).reshape(NUM_TEMPOS, NUM_PHASES, -1)
+    octaves = np.broadcast_to(
+        np.log2(TEMPOS_BPM / 120.0)[:, None, None], (NUM_TEMPOS, NUM_PHASES, 1)
+    )
+    return np.concatenate([whole.real, whole.imag, halves, sizes, octaves, octaves**2], axis=2)
+
+
+def template_of(weights: F64) -> BeatTemplate:
+    """Return the template of weights in the order of `features`."""
+    ends = np.cumsum(np.array([4, 4, 2, len(HARMONICS)]) * NUM_GROUPS)
+    real, imag, halves, sizes, tempo = np.split(weights, ends)
+    return BeatTemplate(
+        (real - 1j * imag).reshape(NUM_GROUPS, -1),
+        halves.reshape(NUM_GROUPS, -1),
+        sizes.reshape(NUM_GROUPS, -1),
+        tempo,
+    )
+
+
+@lru_cache(maxsize=1)
+def bundled_template() -> BeatTemplate:
+    """Return the template in the wheel."""
+    text = (resources.files("downbeat.perception") / "data" / "beat_template.json").read_text()
+    return template_of(np.array(json.loads(text)["weights"], np.float64))

@@ -1,0 +1,199 @@
+"""The beat of unknown music, followed while it plays."""
+
+import numpy as np
+import pytest
+import soundfile
+import soxr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from downbeat.perception.beat_follower import Beat, BeatFollower
+from downbeat.perception.onset_stream import SAMPLE_RATE_HZ as RATE
+from downbeat.perception.onset_stream import OnsetStream
+
+ZERO = 1_733_000_000_123_457
+"""Far from zero, as a bus clock is."""
+
+
+def drums(bpm, first_s, seconds, seed=0, noise=0.01):
+    """Return bass drum and snare by turns, cymbals on every half beat, in noise."""
+    rng = np.random.default_rng(seed)
+    sound = noise * rng.standard_normal(round(seconds * RATE))
+    t = np.arange(RATE // 5) / RATE
+    bass = np.sin(2 * np.pi * 60.0 * t) * np.exp(-t * 18.0)
+    snare = rng.standard_normal(len(t)) * np.exp(-t * 40.0)
+    cymbal = np.diff(rng.standard_normal(len(t) + 1)) * np.exp(-t * 90.0)
+    for half in range(int(2 * (seconds - first_s) * bpm / 60.0)):
+        start = round((first_s + half * 30.0 / bpm) * RATE)
+        hit = 0.15 * cymbal
+        if half % 2 == 0:
+            hit = hit + (0.8 * bass if half % 4 == 0 else 0.3 * snare)
+        part = sound[start : start + len(t)]
+        part += hit[: len(part)]
+    return (0.4 * sound).astype(np.float32)
+
+
+def hear(follower, sound, zero=ZERO, block=800):
+    """Let a follower hear a sound in blocks."""
+    for at in range(0, len(sound), block):
+        follower.hear(sound[at : at + block], zero + at * 1_000_000 // RATE)
+
+
+def error_s(beat, bpm, first_s, zero=ZERO):
+    """Return how far a beat is from the nearest true one [s]."""
+    off = ((beat.beat_utime - zero) * 1e-6 - first_s) * bpm / 60.0
+    return abs(off - round(off)) * 60.0 / bpm
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    bpm=st.floats(83.0, 157.0),
+    first_s=st.floats(0.0, 0.7),
+    noise=st.sampled_from([0.003, 0.03, 0.1]),
+    seed=st.integers(0, 1000),
+)
+def test_drums_are_followed_within_ten_milliseconds_after_eight_seconds(bpm, first_s, noise, seed):
+    follower = BeatFollower()
+    hear(follower, drums(bpm, first_s, 8.0, seed, noise))
+    beat = follower.beat(ZERO + 8_000_000)
+    assert beat is not None
+    assert beat.is_steady
+    assert 60.0 / beat.period_s == pytest.approx(bpm, rel=0.01)
+    assert error_s(beat, bpm, first_s) < 0.010
+    assert abs(beat.beat_utime - ZERO - 8_000_000) <= 0.5e6 * beat.period_s + 1
+
+
+def test_the_clock_may_be_asked_ahead():
+    follower = BeatFollower()
+    hear(follower, drums(117.0, 0.3, 20.0))
+    ahead = follower.beat(ZERO + 22_000_000)
+    assert error_s(ahead, 117.0, 0.3) < 0.015
+
+
+def test_silence_and_a_quiet_room_have_no_beat():
+    rng = np.random.default_rng(3)
+    for sound in (np.zeros(10 * RATE), 1e-4 * rng.standard_normal(10 * RATE)):
+        follower = BeatFollower()
+        hear(follower, sound.astype(np.float32))
+        assert follower.beat(ZERO + 10_000_000) is None
+
+
+def test_noise_is_never_steady():
+    follower = BeatFollower()
+    noise = 0.1 * np.random.default_rng(4).standard_normal(30 * RATE)
+    for at in range(0, len(noise), 8000):
+        follower.hear(noise[at : at + 8000].astype(np.float32), ZERO + at * 1_000_000 // RATE)
+        beat = follower.beat(ZERO + at * 1_000_000 // RATE)
+        assert beat is None or not beat.is_steady
+
+
+def test_the_beat_ends_with_the_music():
+    follower = BeatFollower()
+    hear(follower, np.concatenate([drums(120.0, 0.0, 10.0), np.zeros(15 * RATE, np.float32)]))
+    assert follower.beat(ZERO + 25_000_000) is None
+
+
+def test_any_size_of_blocks_gives_the_same_bits():
+    sound = drums(101.0, 0.2, 7.0)
+    rng = np.random.default_rng(5)
+    found = []
+    for blocks in ([800], [1], [len(sound)], list(rng.integers(1, 4000, 50))):
+        follower = BeatFollower()
+        at = number = 0
+        size = 160 if blocks == [1] else 0
+        while at < len(sound):
+            count = size or int(blocks[number % len(blocks)])
+            follower.hear(sound[at : at + count], ZERO + at * 1_000_000 // RATE)
+            at, number = at + count, number + 1
+        found.append(follower.beat(ZERO + 7_000_000))
+    assert isinstance(found[0], Beat)
+    assert found.count(found[0]) == len(found)
+
+
+def test_single_samples_give_the_same_onsets_as_one_block():
+    sound = drums(120.0, 0.0, 1.0)
+    whole = np.concatenate(OnsetStream().push(sound))
+    stream = OnsetStream()
+    single = [step for sample in sound for step in stream.push(np.array([sample]))]
+    assert np.array_equal(whole, np.concatenate(single))
+
+
+def test_the_place_in_time_does_not_matter():
+    sound = drums(133.0, 0.1, 7.0)
+    beats = []
+    for zero in (0, ZERO, 9_000_000_000_000_000):
+        follower = BeatFollower()
+        hear(follower, sound, zero)
+        beat = follower.beat(zero + 7_000_000)
+        beats.append((beat.beat_utime - zero, beat.period_s, beat.confidence))
+    assert beats.count(beats[0]) == 3
+
+
+def test_a_gap_begins_anew_and_the_new_beat_is_found():
+    follower = BeatFollower()
+    hear(follower, drums(100.0, 0.0, 10.0))
+    later = ZERO + 13_210_000
+    follower.hear(np.zeros(800, np.float32), later)
+    assert follower.beat(later) is None
+    hear(follower, drums(140.0, 0.25, 9.0), later + 50_000)
+    beat = follower.beat(later + 9_000_000)
+    assert error_s(beat, 140.0, 0.25, later + 50_000) < 0.010
+
+
+def test_stamps_of_a_clock_that_drifts_move_the_beat_and_lose_nothing():
+    sound = drums(120.0, 0.0, 30.0)
+    follower = BeatFollower()
+    for at in range(0, len(sound), 800):  # the sound card runs 200 ppm fast: 6 ms in 30 s
+        follower.hear(sound[at : at + 800], ZERO + round(at * 1e6 / RATE * (1.0 - 200e-6)))
+    beat = follower.beat(ZERO + 30_000_000)
+    assert beat.is_steady
+    true = 60.0 / 120.0 * (1.0 - 200e-6)
+    off = (beat.beat_utime - ZERO) * 1e-6 / true
+    assert abs(off - round(off)) * true < 0.010
+
+
+def test_reset_forgets():
+    follower = BeatFollower()
+    hear(follower, drums(90.0, 0.0, 8.0))
+    follower.reset()
+    assert follower.beat(ZERO + 8_000_000) is None
+    hear(follower, drums(150.0, 0.0, 8.0), ZERO + 60_000_000)
+    again = BeatFollower()
+    hear(again, drums(150.0, 0.0, 8.0), ZERO + 60_000_000)
+    assert follower.beat(ZERO + 68_000_000) == again.beat(ZERO + 68_000_000)
+
+
+def test_another_tempo_is_followed_after_ten_seconds():
+    sound = np.concatenate([drums(96.0, 0.0, 15.0), drums(125.0, 0.4, 10.0)])
+    follower = BeatFollower()
+    hear(follower, sound)
+    beat = follower.beat(ZERO + 25_000_000)
+    assert beat.is_steady
+    assert error_s(beat, 125.0, 15.4) < 0.020
+
+
+@pytest.mark.parametrize(
+    ("wanted", "expected"), [((80.0, 160.0), 90.0), ((100.0, 200.0), 180.0), ((40.0, 80.0), 45.0)]
+)
+def test_tempo_comes_in_the_octave_asked_for(wanted, expected):
+    follower = BeatFollower(wanted)
+    hear(follower, drums(90.0, 0.2, 9.0))
+    beat = follower.beat(ZERO + 9_000_000)
+    assert 60.0 / beat.period_s == pytest.approx(expected, rel=0.01)
+    assert error_s(beat, max(90.0, expected), 0.2) < 0.015
+
+
+@pytest.mark.slow
+def test_speech_is_hardly_ever_steady(real_music):
+    steady = asked = 0
+    for path in sorted((real_music.parent / "speech").glob("*.ogg")):
+        samples, rate = soundfile.read(path, dtype="float32", always_2d=True)
+        sound = soxr.resample(samples.mean(axis=1), rate, RATE).astype(np.float32)
+        follower = BeatFollower()
+        for at in range(0, len(sound) - 800, 800):
+            follower.hear(sound[at : at + 800], ZERO + at * 1_000_000 // RATE)
+            beat = follower.beat(ZERO + at * 1_000_000 // RATE)
+            steady += beat is not None and beat.is_steady
+            asked += 1
+    assert asked > 200
+    assert steady / asked < 0.05
