@@ -3,16 +3,30 @@
 import numpy as np
 import pytest
 import soxr
-from synthetic_music import RATE, make_music
+from synthetic_music import RATE, make_music, make_song
 
+from downbeat.perception.alignment import MAX_WIDTH, CoarseScan, FineAligner, Heard
 from downbeat.perception.errors import PerceptionError
-from downbeat.perception.index import DECOY_PLACES, coarse_of_fine, make_decoys
-from downbeat.perception.matcher import AlignmentMatcher, threshold
+from downbeat.perception.features import features as matcher_features
+from downbeat.perception.features import to_matcher_rate
+from downbeat.perception.index import (
+    DECOY_PLACES,
+    PAD_FRAMES,
+    QUANTUM,
+    coarse,
+    coarse_of_fine,
+    make_decoys,
+)
+from downbeat.perception.matcher import LOCK_THRESHOLDS, AlignmentMatcher, threshold
 from downbeat.perception.source import audio_files, load_recording
 
 
 def window(music, name, start_s, seconds):
     return music[name][round(start_s * RATE) : round((start_s + seconds) * RATE)]
+
+
+def features(samples, rate):
+    return matcher_features(to_matcher_rate(samples, rate))
 
 
 @pytest.mark.parametrize("seconds", [1.25, 2.0, 5.0])
@@ -135,6 +149,76 @@ def test_agreement_is_high_at_the_place_and_low_elsewhere(matcher, music):
 
 def test_windows_too_short_to_know_much_must_stand_higher():
     assert threshold(1.0) > threshold(1.25) > threshold(1.5) > threshold(2.0)
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0, 10.0])
+def test_the_scan_by_spectra_is_the_sliding_correlation(matcher, music, seconds):
+    tracks = matcher.index.coarse
+    scan = CoarseScan(tracks)
+    query = coarse(features(window(music, "piece1", 9.3, seconds), RATE))[:MAX_WIDTH]
+    scores, chance = scan.scores(query)
+    assert scores.shape == (sum(len(track) for track in tracks),)
+    number, at = 1, 40
+    for place in (0, 7, at, len(tracks[number]) - len(query)):
+        part = tracks[number][place : place + len(query)].astype(np.float32) / QUANTUM
+        expected = (part * query).sum() / np.sqrt((query**2).sum())
+        score = scores[scan.starts[number] + place]
+        likeness = expected / np.sqrt((part**2).sum())
+        assert abs(score) <= abs(likeness) + 1e-4  # quiet places are not blown up
+        assert score == pytest.approx(likeness, abs=0.02) or (part**2).mean() < 0.1
+    beyond = scores[scan.starts[number] + len(tracks[number]) - len(query) + 1 : scan.starts[2]]
+    assert not beyond.any()
+    assert 0.0 < chance < 0.3
+
+
+@pytest.mark.parametrize("seconds", [1.0, 2.5, 5.0])
+def test_alignment_in_groups_is_the_sum_along_a_line(matcher, music, seconds):
+    values = features(window(music, "piece0", 12.0, seconds), RATE)
+    aligner = FineAligner(matcher.index.fine, matcher.index.power)
+    first = round(12.0 / 0.04) + PAD_FRAMES
+    fit = aligner.align(Heard(values), 0, first + 2, 4, (1.0,))
+    assert fit.tau_s == pytest.approx(12.0, abs=0.01)
+    part = matcher.index.fine[0][first : first + 2 * len(values) : 2].astype(np.float32)
+    likeness = (part * values).sum() / np.sqrt((part**2).sum() * (values**2).sum())
+    assert fit.similarity == pytest.approx(likeness, abs=0.02)
+
+
+def test_a_quiet_beginning_is_known_as_well_as_the_loud_part(music):
+    """Twelve seconds at a hundredth of the level: no floor of the whole track may hide it."""
+    sound = music["piece0"].copy()
+    sound[: 12 * RATE] *= 0.01
+    quiet = AlignmentMatcher()
+    for name, samples in {**music, "piece0": sound}.items():
+        quiet.add(name, samples, RATE)
+    for start_s in (1.0, 4.0, 7.0):
+        result = quiet.query(sound[round(start_s * RATE) : round((start_s + 3.0) * RATE)], RATE)
+        assert result.accepted and result.track == "piece0"
+        assert result.tau_s == pytest.approx(start_s, abs=0.03)
+
+
+def test_a_passage_played_twice_is_named_as_a_repeat():
+    song = AlignmentMatcher()
+    song.add("song", make_song(60, 10.0), RATE)
+    song.add("other", make_music(61, 30.0), RATE)
+    sound = make_song(60, 10.0)[3 * RATE : 6 * RATE]
+    result = song.query(sound, RATE)
+    assert sorted([result.tau_s, *result.repeats]) == pytest.approx([3.0, 23.0], abs=0.03)
+    assert song.query(make_song(60, 10.0)[13 * RATE : 16 * RATE], RATE).repeats == ()
+
+
+def test_a_lock_asks_more_than_one_window_alone():
+    for seconds in (1.0, 1.25, 2.0, 3.0, 5.0, 8.0):
+        assert threshold(seconds, LOCK_THRESHOLDS) > threshold(seconds) + 0.5
+
+
+def test_another_pitch_does_not_cost_the_place(matcher, music):
+    from downbeat.tools.conditions import pitch
+
+    sound = window(music, "piece2", 11.0, 5.0)
+    for factor in (0.96, 1.04):
+        heard = pitch(factor)(sound, RATE, np.random.default_rng(0))
+        result = matcher.query(heard, RATE)
+        assert result.accepted and result.tau_s == pytest.approx(11.0, abs=0.08)
 
 
 def test_silent_or_short_tracks_are_not_indexed():
