@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.source import FileSource, Recording, Ring, audio_files, load_recording
 
-RAMP = Recording("ramp", np.arange(16_000, dtype=np.float32), 16_000)
+RAMP = Recording("ramp", np.arange(16_000, dtype=np.float32) / 16_384, 16_000)
 NOISE = Recording("noise", np.random.default_rng(0).random(44_100, np.float32) - 0.5, 44_100)
 
 
