@@ -1,10 +1,10 @@
 """An inverted index of binary codes: which places sound roughly like a moment of a query.
 
-A code is the signs of 18 projections of 0.64 s of coarse features. The projections are the
+A code is the signs of 18 projections of 0.8 s of coarse features. The projections are the
 eigenvectors of the mean correlation of music: smooth patterns in which noise averages out, and
-whose signs are hardly correlated, so that all codes are about equally rare. Codes of all bands, of
-the low half and of the high half live in three tables. A query also looks up the codes that its
-least certain signs would give. Measured against pairs of peaks in docs/catalogue.md.
+whose signs are hardly correlated, so that all codes are about equally rare. Codes of all bands and
+of the low, the high and the middle half live in four tables. A query also looks up the codes that
+its least certain signs would give. Measured against pairs of peaks in docs/catalogue.md.
 """
 
 from __future__ import annotations
@@ -24,13 +24,20 @@ from downbeat.perception.index import COARSE_BANDS, Coarse, coarse
 I64 = npt.NDArray[np.int64]
 U32 = npt.NDArray[np.uint32]
 
-ROWS, CELLS = 4, ft.NUM_BANDS // COARSE_BANDS
-"""0.64 s of coarse features, 1/8 octave each."""
+ROWS, CELLS = 5, ft.NUM_BANDS // COARSE_BANDS
+"""0.8 s of coarse features, 1/8 octave each."""
 BITS = 18
-TABLES = ((0, CELLS), (0, CELLS // 2 + 1), (CELLS // 2, CELLS))
+TABLES = (
+    (0, CELLS),
+    (0, CELLS // 2 + 1),
+    (CELLS // 2, CELLS),
+    (CELLS // 4, CELLS - CELLS // 4),
+)
 """First cell of each table's codes, and where they stop."""
-UNCERTAIN = 5
+UNCERTAIN = 6
 """Signs tried both ways."""
+FLIP_COST = 2.0
+"""log odds against a wrong sign, per standard deviation of its projection."""
 TIME_CORRELATION = 0.8
 CELL_CORRELATION = (
     1.0, 0.31, 0.03, -0.04, -0.06, -0.05, -0.1, -0.11, 0.04, -0.12, -0.14, -0.14, -0.07, 0.04,
@@ -71,14 +78,14 @@ def projections() -> F32:
 
 
 def _project(values: F32) -> F32:
-    """Project every moment of coarse features, (n, CELLS) -> (n - 3, tables, BITS)."""
-    moments = np.lib.stride_tricks.sliding_window_view(values, ROWS, axis=0)  # (n - 3, CELLS, 4)
+    """Project every moment of coarse features, (n, CELLS) -> (n - 4, tables, BITS)."""
+    moments = np.lib.stride_tricks.sliding_window_view(values, ROWS, axis=0)  # (n - 4, CELLS, 5)
     flat = np.ascontiguousarray(moments.transpose(0, 2, 1)).reshape(len(moments), -1)
     return (flat @ projections()).reshape(len(moments), len(TABLES), BITS)
 
 
 def codes_of(values: F32) -> I64:
-    """Return the keys of every moment, (n - 3, tables)."""
+    """Return the keys of every moment, (n - 4, tables)."""
     if len(values) < ROWS:
         return np.zeros((0, len(TABLES)), np.int64)
     return (_project(values) > 0.0) @ (1 << np.arange(BITS)) + (np.arange(len(TABLES)) << BITS)
@@ -102,27 +109,30 @@ def make_code_table(tracks: Sequence[Coarse]) -> CodeTable:
     return CodeTable(starts, (rows & np.uint64(0xFFFFFFFF)).astype(np.uint32))
 
 
-def query_codes(values: F32) -> tuple[I64, I64]:
-    """Return the keys that a query looks up, and how many coarse rows after its start.
+def query_codes(values: F32) -> tuple[I64, I64, F32]:
+    """Return what a query looks up.
 
     Args:
         values: (w, NUM_BANDS) features of the query; both phases of the coarse grid are used.
+
+    Returns:
+        (k,) keys, how many coarse rows after the query's start each is, and its cost: how unlikely
+        it is that so many signs are wrong, as a logarithm.
     """
-    keys: list[I64] = []
-    rows: list[I64] = []
+    keys, rows, costs = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, np.float32)]
     weights = 1 << np.arange(BITS)
-    subsets = np.arange(1 << UNCERTAIN)[:, None] >> np.arange(UNCERTAIN) & 1  # (32, 5)
+    subsets = (np.arange(1 << UNCERTAIN)[:, None] >> np.arange(UNCERTAIN) & 1).T  # (6, 64)
     for phase in (0, 1):
         cells = coarse(values[phase:])
         if len(cells) < ROWS:
             continue
         signed = _project(cells)  # (m, tables, BITS)
+        signed /= np.sqrt((signed**2).mean((0, 2), keepdims=True) + 1e-9)
         code = (signed > 0.0) @ weights + (np.arange(len(TABLES)) << BITS)
-        doubtful = np.argpartition(np.abs(signed), UNCERTAIN, axis=2)[:, :, :UNCERTAIN]
-        flips = weights[doubtful] @ subsets.T  # (m, tables, 32)
-        found = code[:, :, None] ^ flips
-        keys.append(found.ravel())
-        rows.append(np.repeat(np.arange(len(cells) - ROWS + 1), found[0].size))
-    if not keys:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    return np.concatenate(keys), np.concatenate(rows)
+        margin = np.abs(signed)
+        doubtful = np.argpartition(margin, UNCERTAIN, axis=2)[:, :, :UNCERTAIN]
+        keys.append((code[:, :, None] ^ (weights[doubtful] @ subsets)).ravel())  # m tables 64
+        cost = np.take_along_axis(margin, doubtful, 2) @ subsets.astype(np.float32)
+        costs.append(np.float32(FLIP_COST) * cost.ravel())
+        rows.append(np.repeat(np.arange(len(cells) - ROWS + 1), len(TABLES) << UNCERTAIN))
+    return np.concatenate(keys), np.concatenate(rows), np.concatenate(costs)

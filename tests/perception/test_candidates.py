@@ -124,7 +124,8 @@ def test_every_moment_is_in_the_table_under_its_code(large):
 def test_a_query_looks_up_its_own_codes(matcher):
     fine = matcher.index.fine[1]
     values = fine[400:520:2].astype(np.float32) / np.float32(QUANTUM)
-    keys, rows = query_codes(values)
+    keys, rows, costs = query_codes(values)
+    assert costs.min() == 0.0 and len(keys) == len(rows) == len(costs)
     asked = set(zip(rows.tolist(), keys.tolist()))
     own = codes_of(matcher.index.coarse[1][100:130].astype(np.float32))
     hits = sum((row, int(key)) in asked for row, keys in enumerate(own) for key in keys)
