@@ -276,10 +276,12 @@ class Prover:
         return min(plans, key=lambda plan: abs(plan.onset_utime - wanted), default=None)
 
     def _is_void(self, chosen: Chosen, at: Situation) -> bool:
+        # "At once" is now in every tick: what is wanted then has not moved.
+        moved = max(chosen.goal_utime, at.now) - max(at.goal.onset_utime, at.now)
         return (
             chosen.key != at.key
             or chosen.plan.hop.to_skill != at.goal.skill.name
-            or abs(chosen.goal_utime - at.goal.onset_utime) > GOAL_MOVED_US
+            or abs(moved) > GOAL_MOVED_US
             or chosen.plan.hop.start_utime < at.now - TICK_US
         )
 

@@ -25,6 +25,9 @@ class SegmentConfig:
         close_probability: Below this a frame is a pause; lower than to open (hysteresis).
         min_voiced_s: Voiced time below which a segment is a click and is dropped [s].
         hang_over_s: Pause that ends a segment [s]; it is most of the robot's time to react.
+        early_s: Pause after which a segment is handed out before it is known to have ended, so that
+            a recogniser can begin [s]; 0: never. What is said afterwards makes it worthless.
+        sure_s: Pause that ends a segment in which somebody is sure to have heard all there was [s].
         pre_roll_s: Sound kept from before the opening [s]: first consonants are not voiced.
         max_s: A monologue is cut here [s].
         min_voiced_fraction: A segment needs this share of voiced frames to be forwarded.
@@ -35,6 +38,8 @@ class SegmentConfig:
     close_probability: float = 0.35
     min_voiced_s: float = 0.12
     hang_over_s: float = 0.25
+    early_s: float = 0.0
+    sure_s: float = 0.16
     pre_roll_s: float = 0.25
     max_s: float = 15.0
     min_voiced_fraction: float = 0.3
@@ -50,6 +55,11 @@ class SegmentConfig:
             raise PerceptionError(
                 f"open_probability {self.open_probability} and close_probability "
                 f"{self.close_probability} are no thresholds; valid is 0 < close <= open < 1."
+            )
+        if not 0.0 <= self.early_s < self.hang_over_s:
+            raise PerceptionError(
+                f"early_s {self.early_s} is no pause within a segment; valid is 0 to below "
+                f"hang_over_s {self.hang_over_s}."
             )
         if not 0.0 < self.hang_over_s < self.max_s or min(self.min_voiced_s, self.pre_roll_s) < 0:
             raise PerceptionError(
@@ -69,6 +79,8 @@ class Segment:
         voiced_fraction: Share of voiced frames in it.
         closed_utime: When it was known to have ended [us].
         cut: It was cut at its greatest length, and the speech went on.
+        early: It may go on: the hang-over is not over yet.
+        serial: Number of the pause that it ends with; an early one and the final one share it.
     """
 
     start_utime: int
@@ -77,6 +89,8 @@ class Segment:
     voiced_fraction: float
     closed_utime: int = 0
     cut: bool = False
+    early: bool = False
+    serial: int = 0
 
     @property
     def duration_s(self) -> float:
@@ -123,6 +137,7 @@ class Segmenter:
         self._stream = VadStream(vad)
         self._on_open = on_open or (lambda _utime: None)
         self._next_utime: int | None = None
+        self._serial = 0
         self._clear()
 
     @property
@@ -154,6 +169,23 @@ class Segmenter:
             self._frame_utime += FRAME_US
         return found
 
+    def end(self, serial: int) -> bool:
+        """End the open segment now: somebody is sure about its early form.
+
+        Args:
+            serial: Of the early segment.
+
+        Returns:
+            False where the pause is over, or too short yet.
+        """
+        paused_us = self._pause * FRAME_US
+        if not self.is_open or serial != self._serial or paused_us < self.config.sure_s * 1e6:
+            return False
+        rest = self._rest
+        self._clear()
+        self._rest = rest
+        return True
+
     def flush(self) -> list[Segment]:
         """End the open segment, if any, and forget everything: the sound has ended."""
         found = self._close(cut=False) if self.is_open else []
@@ -163,6 +195,7 @@ class Segmenter:
         return found
 
     def _clear(self) -> None:
+        self._serial += 1
         self._rest = np.zeros(0, np.float32)
         self._frames: list[F32] = []
         self._voiced: list[bool] = []
@@ -187,6 +220,9 @@ class Segmenter:
             self._on_open(self._start)
         if self._pause * FRAME_US >= config.hang_over_s * 1e6:
             return self._close(cut=False)
+        if config.early_s and self._pause == math.ceil(config.early_s * 1e6 / FRAME_US):
+            self._serial += 1
+            return [self._segment(len(self._frames), early=True)] if self._announced else []
         if len(self._frames) * FRAME_US >= config.max_s * 1e6:
             return self._close(cut=True)
         return []
@@ -195,19 +231,24 @@ class Segmenter:
         return sum(self._voiced) * FRAME_US / 1e6
 
     def _close(self, cut: bool) -> list[Segment]:
-        assert self._start is not None
         # Half of the pause stays: a recogniser needs some silence after the last word.
-        length = len(self._frames) - self._pause // 2
-        segment = Segment(
+        segment = self._segment(len(self._frames) - self._pause // 2, cut=cut)
+        enough = self._voiced_s() >= self.config.min_voiced_s
+        rest = self._rest
+        self._clear()
+        self._rest = rest
+        return [segment] if enough else []
+
+    def _segment(self, length: int, cut: bool = False, early: bool = False) -> Segment:
+        """Return the first `length` frames as a segment."""
+        assert self._start is not None
+        return Segment(
             start_utime=self._start,
             end_utime=self._start + length * FRAME_US,
             samples=np.concatenate(self._frames[:length]),
             voiced_fraction=float(np.mean(self._voiced[:length])),
             closed_utime=self._start + len(self._frames) * FRAME_US,
             cut=cut,
+            early=early,
+            serial=self._serial,
         )
-        enough = self._voiced_s() >= self.config.min_voiced_s
-        rest = self._rest
-        self._clear()
-        self._rest = rest
-        return [segment] if enough else []

@@ -8,23 +8,24 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from downbeat.lcm_types import (
-    audio_chunk_t,
-    music_match_t,
-    speech_intent_t,
-    transcript_t,
-)
+from downbeat.lcm_types import audio_chunk_t, music_match_t
 from downbeat.perception.conversation import Context, Conversation, Reply
-from downbeat.perception.grounding import Grounder, Intent, IntentKind
+from downbeat.perception.early_guess import LONGEST_S, Guesses
+from downbeat.perception.grounding import Grounder, IntentKind
 from downbeat.perception.own_voice import OwnVoice
 from downbeat.perception.recogniser_openai import wav_bytes
-from downbeat.perception.recognisers import Recogniser, Recognition
+from downbeat.perception.recognisers import Recogniser
 from downbeat.perception.reply_table import FOLLOWING, NOT_UNDERSTOOD, SERVICE_FAILED
 from downbeat.perception.segments import Segment, Segmenter, refusal
+from downbeat.perception.speech_messages import (
+    KINDS,
+    Understood,
+    intent_message,
+    transcript_message,
+)
 from downbeat.perception.speech_mouth import Mouth
 from downbeat.perception.speech_work import Done, Worker
 from downbeat.perception.tts import Spoken, Voice
@@ -35,14 +36,6 @@ PERIOD_US = 20_000
 CLASSES_KEPT = 120
 SORRY_PERIOD_US = 20_000_000
 """It says at most so often that it did not understand."""
-KINDS = {
-    IntentKind.STOP: speech_intent_t.STOP,
-    IntentKind.SKILL: speech_intent_t.SKILL,
-    IntentKind.AGAIN: speech_intent_t.AGAIN,
-    IntentKind.TEMPO: speech_intent_t.TEMPO,
-    IntentKind.RESUME: speech_intent_t.RESUME,
-    IntentKind.CHAT: speech_intent_t.CHAT,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +47,6 @@ class Ears:
     grounder: Grounder
     conversation: Conversation | None
     voice: Voice
-
-
-@dataclass(frozen=True, slots=True)
-class Understood:
-    """A recognised utterance."""
-
-    segment: Segment
-    recognition: Recognition
-    intent: Intent
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +98,7 @@ class SpeechNode:
         self._keep = keep
         self._titles = titles or {}
         self._own = OwnVoice()
+        self._guesses: Guesses[Understood] = Guesses()
         self._classes: deque[tuple[int, float, float]] = deque(maxlen=CLASSES_KEPT)
         self._next_id = 1
         self._track = ""
@@ -137,6 +122,7 @@ class SpeechNode:
             self._hear(received.msg, utime)
         for done in self._worker.done(utime):
             self._finish(done, utime)
+        self._act_on_guess(utime)
         for received in self._bus.take("SKILL_STATUS"):
             self._mouth.follow(received.msg)
         begun = self._mouth.update(utime)
@@ -149,12 +135,39 @@ class SpeechNode:
         samples = np.asarray(msg.samples, np.float32) / 32768.0
         for segment in self._ears.segmenter.push(samples, int(msg.first_sample_utime)):
             why = self._refusal(segment)
-            if not why and not self._worker.submit(
-                "hear", lambda segment=segment: self._understand(segment), utime
-            ):
-                why = "too much is waiting"
+            if segment.early:
+                self._guess(segment, why, utime)
+                continue
+            if why:
+                self._guesses.drop(segment.serial)
+            else:
+                why = self._recognise(segment, utime)
             if why:
                 self.refused[why.split(" ")[0]] = self.refused.get(why.split(" ")[0], 0) + 1
+
+    def _recognise(self, segment: Segment, utime: int) -> str:
+        """Recognise what was said, or take the guess; returns why not."""
+        is_guessed, guess = self._guesses.end(segment.serial)
+        if guess is not None:
+            self._decide(guess, utime)
+        if is_guessed or self._worker.submit("hear", lambda: self._understand(segment), utime):
+            return ""
+        return "too much is waiting"
+
+    def _guess(self, segment: Segment, why: str, utime: int) -> None:
+        """Begin to recognise what may go on."""
+        if why or self._guesses.running is not None or segment.duration_s > LONGEST_S:
+            return
+        if self._worker.submit("guess", lambda: self._understand(segment), utime):
+            self._guesses.begin(segment.serial)
+
+    def _act_on_guess(self, utime: int) -> None:
+        """A command that was heard for sure needs no longer pause."""
+        for serial, guess in self._guesses.known():
+            is_command = guess.intent.kind in KINDS and guess.intent.kind is not IntentKind.CHAT
+            if is_command and self._ears.segmenter.end(serial):
+                self._guesses.drop(serial)
+                self._decide(guess, utime)
 
     def _refusal(self, segment: Segment) -> str:
         scores = [
@@ -178,7 +191,12 @@ class SpeechNode:
 
     def _finish(self, done: Done, utime: int) -> None:
         self._note(done.failure)
-        if isinstance(done.result, Understood):
+        if done.name == "guess":
+            ended = self._guesses.arrive(done.result)
+            if ended is not None:
+                self._note(ended.recognition.failure)
+                self._decide(ended, utime)
+        elif isinstance(done.result, Understood):
             self._note(done.result.recognition.failure)
             self._decide(done.result, utime)
         elif isinstance(done.result, Answer):
@@ -194,7 +212,7 @@ class SpeechNode:
 
     def _decide(self, heard: Understood, utime: int) -> None:
         intent, text = heard.intent, heard.recognition.text
-        self._publish_transcript(heard, utime)
+        self._bus.publish("TRANSCRIPT", transcript_message(heard, self._language, utime))
         self._store(heard)
         if not text:
             failed = bool(heard.recognition.failure)
@@ -206,7 +224,8 @@ class SpeechNode:
         if self._mouth.is_speaking and intent.kind is not IntentKind.CHAT:
             self._mouth.stop(utime)  # barge-in: a command ends the answer
             self._own.stop(utime)
-        self._publish_intent(heard, utime)
+        self._bus.publish("SPEECH_INTENT", intent_message(heard, self._next_id, utime))
+        self._next_id += 1
         if intent.kind is IntentKind.STOP:
             self._mouth.is_held = True
         elif intent.kind in (IntentKind.SKILL, IntentKind.AGAIN, IntentKind.RESUME):
@@ -244,39 +263,7 @@ class SpeechNode:
         )
         return Context(titles, playing, self._titles.get(self._track, self._track))
 
-    # ------------------------------------------------------------------ messages
-
-    def _publish_transcript(self, heard: Understood, utime: int) -> None:
-        msg: Any = transcript_t()
-        msg.header.utime = utime
-        msg.start_utime = heard.segment.start_utime
-        msg.end_utime = heard.segment.end_utime
-        msg.is_final = True
-        msg.language = self._language
-        msg.text = heard.recognition.text
-        msg.confidence = heard.recognition.confidence
-        msg.backend = heard.recognition.backend
-        msg.compute_us = min(int(heard.recognition.compute_us), 2**31 - 1)
-        self._bus.publish("TRANSCRIPT", msg)
-
-    def _publish_intent(self, heard: Understood, utime: int) -> None:
-        intent, said = heard.intent, heard.intent.parameters
-        msg: Any = speech_intent_t()
-        msg.header.utime = utime
-        msg.utterance_id = self._next_id
-        msg.end_utime = heard.segment.end_utime
-        msg.kind = KINDS[intent.kind]
-        msg.skill = intent.skill
-        msg.score = float(min(max(intent.score, 0.0), 1.0))
-        msg.margin = float(intent.margin)
-        msg.negated = intent.negated
-        msg.duration_s = said.duration_s or 0.0
-        msg.distance_m = said.distance_m or 0.0
-        msg.repeat = said.repeat or 0
-        msg.tempo = said.tempo
-        msg.text = heard.recognition.text
-        self._next_id += 1
-        self._bus.publish("SPEECH_INTENT", msg)
+    # ------------------------------------------------------------------ the rest
 
     def _store(self, heard: Understood) -> None:
         if self._keep is None:

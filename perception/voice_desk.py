@@ -21,6 +21,8 @@ WALK_MPS, BACK_MPS, WALK_M = 0.2, 0.1, 1.0
 EXPIRES_US = 8_000_000
 HAND_OVER_US = 4_000_000
 """What follows a gesture is asked for so far ahead."""
+LEAVES_S = 0.25
+"""A gesture is left so long before the sound ends: half of the way into stand, and the check."""
 REMAINS_S = 3.0
 """Less of an interrupted command than this is not worth going back to."""
 TEMPO_STEP = 1.1
@@ -264,7 +266,8 @@ class VoiceDesk:
         msg.start_phase_s = claim.line.phase_s
         msg.phase_rate = claim.line.rate
         msg.expires_utime = max(now, at) + EXPIRES_US
-        msg.duration_s = claim.duration_s if self._skills[claim.skill].loop else 0.0
+        lasts_s = max(claim.duration_s - (LEAVES_S if claim.is_gesture else 0.0), 0.1)
+        msg.duration_s = lasts_s if self._skills[claim.skill].loop else 0.0
         msg.velocity = list(claim.velocity)
         return msg
 

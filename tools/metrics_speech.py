@@ -157,6 +157,8 @@ def _gestures(log: RunLog) -> dict[str, Any]:
         "without": without,
         "start_skew_ms": _percentiles(starts),
         "end_skew_ms": _percentiles(ends),
+        "start_skews_ms": [round(ms, 1) for ms in starts],
+        "end_skews_ms": [round(ms, 1) for ms in ends],
     }
 
 

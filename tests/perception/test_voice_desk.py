@@ -84,7 +84,9 @@ class Stage:
                 msg, since = self.running
                 if self.now >= since + msg.duration_s * 1e6:
                     self.running = None
-                    self.history.append((self.now, "stand", -1))
+                    # As control does: what comes within 1.5 s is awaited without standing first.
+                    if not any(due - self.now < 1_500_000 for due, _ in self.pending):
+                        self.history.append((self.now, "stand", -1))
                     self.status(msg, skill_status_t.DONE)
             self.take(self.conductor.update(self.now))
             self.now += 50_000

@@ -147,10 +147,13 @@ class Doctor:
 class Bench:
     """Print what things cost here; `control`: the control loop against the clock and a C loop."""
 
-    what: tyro.conf.Positional[Literal["table", "control", "bridge", "check", "batch"]] = "table"
+    what: tyro.conf.Positional[
+        Literal["table", "control", "bridge", "check", "batch", "speech"]
+    ] = "table"
     """table: tick, codec, fingerprint query, generator, lockstep speed; control: real time;
     bridge: latency, loss and processor time between DDS and LCM; check: an online check beside the
-    bare physics of the same steps; batch: physics steps per second of the batch engines."""
+    bare physics of the same steps; batch: physics steps per second of the batch engines; speech:
+    from the end of an utterance to the request, and what recognisers cost."""
     only: tuple[str, ...] = ()
     """table: names of benchmarks; none: all."""
     seconds: float = 14.0
@@ -163,6 +166,8 @@ class Bench:
     """control: pin control and the C loop to this processor."""
     url: str = ""
     """control: LCM URL; empty: a free port on this machine only."""
+    whisper: str = ""
+    """speech: folder of Whisper weights to measure with (extra: models)."""
     json: bool = False
     """Print one JSON object on standard output."""
 
@@ -181,6 +186,10 @@ class Bench:
             from downbeat.tools.bench_check import bench_check
 
             return bench_check(self.json)
+        if self.what == "speech":
+            from downbeat.tools.bench_speech import bench_speech
+
+            return bench_speech(self.json, self.whisper)
         if self.what == "batch":
             from downbeat.tools.bench_batch import bench_batch
 
