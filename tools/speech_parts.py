@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.grounding import NOT_BY_VOICE, Grounder
 from downbeat.perception.recognisers import make_recogniser
 from downbeat.perception.reply_table import QUESTIONS
-from downbeat.perception.segments import Segmenter
+from downbeat.perception.segments import SegmentConfig, Segmenter
 from downbeat.perception.sentence_model import SentenceModel
 from downbeat.perception.speaker import FileSpeaker, LocalSpeaker, Speaker
 from downbeat.perception.speech_config import SpeechConfig, make_conversation, make_voice
@@ -24,6 +25,8 @@ from downbeat.runtime.bus import Bus
 SPOKEN_NAME = "spoken.wav"
 ROBOT = "robot:"
 OUTPUTS = "file, card, none or robot:INTERFACE"
+EARLY_S = 0.09
+"""Pause after which the embedded recogniser begins: three frames of voice activity."""
 RESUME_PHRASES = ("keep dancing", "continue", "dance again", "dance to the music")
 TEMPO_PHRASES = ("faster", "slower", "do it again", "once more")
 
@@ -44,12 +47,19 @@ def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears
     ]
     said += [*QUESTIONS, *RESUME_PHRASES, *TEMPO_PHRASES]
     return Ears(
-        Segmenter(Vad(), config.segments),
+        Segmenter(Vad(), segments_of(config)),
         make_recogniser(config.recogniser, said, os.environ),
         Grounder(allowed, sentence_model(config)),
         make_conversation(config.chat, os.environ),
         make_voice(config.voice, os.environ),
     )
+
+
+def segments_of(config: SpeechConfig) -> SegmentConfig:
+    """Return when segments end: only the embedded recogniser's guesses cost nothing but time."""
+    if config.recogniser.backend != "pocketsphinx" or config.segments.early_s:
+        return config.segments
+    return replace(config.segments, early_s=EARLY_S)
 
 
 def sentence_model(config: SpeechConfig) -> SentenceModel | None:

@@ -84,7 +84,21 @@ class Beat:
 
 @dataclass(frozen=True)
 class Speech:
-    """Ground written utterances: which skill, stop or answer each of them asks for."""
+    """Ground written utterances, or with --spoken: speak to the robot and see what it does."""
+
+    spoken: bool = False
+    """Speak 21 commands and 20 other sentences with espeak-ng, and let them be heard and obeyed in
+    lockstep."""
+    noise: tuple[Literal["clean", "20", "10"], ...] = ("clean", "20", "10")
+    """spoken: signal over noise [dB]."""
+    voices: int = 3
+    """spoken: how many voices."""
+    seed: int = 0
+    """spoken: order of the sentences, noise."""
+    keep: bool = False
+    """spoken: keep logs and sounds of the runs."""
+    runs: Path = Path("runs")
+    """spoken: where runs are kept."""
 
     utterances: Path = Path("tests/perception/utterances.tsv")
     """Tab-separated set: half, kind, expected, text."""
@@ -97,6 +111,10 @@ class Speech:
 
     def run(self) -> int:
         """Run it; 0 if commands, false triggers and negations reach their targets."""
+        if self.spoken:
+            from downbeat.tools.eval_spoken import eval_spoken
+
+            return eval_spoken(self.runs, self.noise, self.voices, self.seed, self.json, self.keep)
         from downbeat.tools.eval_speech import eval_speech
 
         return eval_speech(self.utterances, self.half, self.letters_only, self.json)
