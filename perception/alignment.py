@@ -25,8 +25,8 @@ FINE_S = ft.HOP_S / 2.0
 """40 ms: the grid of the reference."""
 RATES = (1.0, 0.99, 1.01, 0.98, 1.02, 0.97, 1.03, 0.96, 1.04, 0.95, 1.05)
 """Time stretch; 1 first, so that ties go to it."""
-BLOCK, MAX_WIDTH = 512, 64
-"""Coarse frames per spectrum and per query, 82 and 10 s."""
+BLOCK, MAX_WIDTH = 1024, 64
+"""Coarse frames per spectrum and per query, 164 and 10 s."""
 BLOCK_HOP = BLOCK - MAX_WIDTH
 GROUP = 16
 """Blocks whose spectra are made at once."""

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from downbeat.perception import features as ft
-from downbeat.perception.alignment import FINE_S, Fit, Heard, spread_out
+from downbeat.perception.alignment import FINE_S, RATES, Fit, Heard, spread_out
 from downbeat.perception.candidates import MAX_SCANNED_TRACKS, prepare
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
@@ -26,6 +26,10 @@ PITCHES = (1.02, 0.98)
 CANDIDATES, PER_TRACK, PITCHED, MORE_PLACES = 24, 4, 6, 12
 """Places aligned finely: in all, of one track, also at other pitches, more of the winner."""
 RANKED = 400
+DEEP_CANDIDATES, DEEP_FRAMES, DEEP_RATES = 48, 30, (1.0, 0.98, 1.02)
+"""Where that accepts nothing, a window of 2.4 s or more is worth a look at more places, also from
+its second frame on, as it may lie between two places of the scan: under loud voices the right one
+was behind two hundred others, and first at the other phase."""
 SEARCH = 6
 """Fine search +-6 frames of 40 ms around a coarse place."""
 CHECK_SEARCH = 3
@@ -231,13 +235,19 @@ class AlignmentMatcher:
             if place not in found or found[place].pitch != best.pitch:
                 fit = self._fit(heard[best.pitch], place)
                 found[place] = max(found.get(place, fit), fit)
-        return sorted(found.values(), reverse=True), chance
+        if len(values) >= DEEP_FRAMES and not self._decide(values, _sorted(found), chance).accepted:
+            between, _ = self._scan.search(values[1:], RANKED)
+            for order in (between, ranked):
+                for place in spread_out(order, track_of, DEEP_CANDIDATES, PER_TRACK).tolist():
+                    if place not in found:
+                        found[place] = self._fit(heard[1.0], place, DEEP_RATES)
+        return _sorted(found), chance
 
-    def _fit(self, heard: Heard, place: int) -> Fit:
+    def _fit(self, heard: Heard, place: int, rates: tuple[float, ...] = RATES) -> Fit:
         """Align finely around a coarse place."""
         track = int(self._scan.track_of[place])
         first = FINE_PER_COARSE * (place - int(self._scan.starts[track]))
-        return self._aligner.align(heard, track, first, SEARCH)
+        return self._aligner.align(heard, track, first, SEARCH, rates)
 
     def _decide(self, values: F32, fits: list[Fit], chance: float) -> MatchResult:
         best = next((fit for fit in fits if fit.track < len(self.names)), None)
@@ -265,6 +275,10 @@ class AlignmentMatcher:
             votes=len(values),
             repeats=_repeats(best, fits),
         )
+
+
+def _sorted(found: dict[int, Fit]) -> list[Fit]:
+    return sorted(found.values(), reverse=True)
 
 
 def _repeats(best: Fit, fits: list[Fit]) -> tuple[float, ...]:

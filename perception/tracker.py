@@ -28,7 +28,8 @@ REGAIN_SHARE = 0.75
 """After a bad hop more is asked for: half of the check may be new, and alike by chance."""
 DROP_AFTER_HOPS = 3
 SHORTEST_S, LONGEST_S = 1.0, 5.0
-LOST_LENGTHS_S = (1.25, 2.0, 3.0, 5.0, 8.0)
+LOST_LENGTHS_S, LONG_LENGTHS_S = (1.25, 2.0), (3.0, 5.0, 8.0)
+"""Of the long ones, which cost most, one per hop in turn."""
 LOOK_BACK_S = 0.25
 """A search begins this much before the last good check: some of that check may have been new."""
 COAST_US, PAUSE_US = 3_000_000, 4_000_000
@@ -177,7 +178,7 @@ class Tracker:
         self._usual = 0.0
         self._locked_since_utime = 0
         self._doubt: Place | None = None
-        self._now = 0
+        self._now = self._turn = 0
         self._paused_us = 0  # since the last good check
         self._rivals: list[Rival] = []
         self._slip = 0.0  # mean square of the corrections [s^2]
@@ -307,6 +308,9 @@ class Tracker:
         """Search windows of all lengths that hold nothing from before the change."""
         fresh_s = self._fresh_s(ring, now)
         lengths = [s for s in LOST_LENGTHS_S if s <= fresh_s]
+        if long := [s for s in LONG_LENGTHS_S if s <= fresh_s]:
+            self._turn += 1
+            lengths.append(long[self._turn % len(long)])
         if not lengths and fresh_s >= SHORTEST_S:
             lengths = [fresh_s]
         for seconds in lengths:
