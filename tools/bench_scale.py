@@ -3,7 +3,8 @@
 python -m downbeat.tools.bench_scale --tracks DIR [--speech DIR] [--sizes 100 1000 10000]
 
 Queries are windows of 5 s of real recordings, alone, in the conditions of `downbeat eval chunks`. A
-quarter of the recordings is left out of the catalogue: windows of those must be refused.
+quarter of the recordings is left out of the catalogue: windows of those must be refused. Of two
+recordings of the same music one is taken out first, and named.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from downbeat.tools.bench_scale_tracks import make_index
 from downbeat.tools.chunks_make import Query, clean_queries, degraded_queries
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
 from downbeat.tools.conditions import degradations
+from downbeat.tools.duplicates import find_duplicates
 from downbeat.tools.matcher_sounds import load_folder, make_babble
 
 ALL_SCANNED = 10**9
@@ -186,17 +188,22 @@ def run(args: Args) -> list[Row]:
     """Measure catalogues of every size."""
     is_quiet = args.json or not sys.stderr.isatty()
     recordings = list(load_folder(args.tracks).values())
-    queries = make_queries(recordings, args, is_quiet)
     references = {r.name: ft.to_matcher_rate(r.samples, r.sample_rate_hz) for r in recordings}
-    left_out = [r.name for r in recordings][LEFT_OUT_EVERY - 1 :: LEFT_OUT_EVERY]
+    everything, begin = Index(), time.process_time()
+    for name, samples in references.items():
+        everything.add(name, samples, ft.SAMPLE_RATE_HZ)
+    everything.all_landmarks()
+    music_s = sum(map(len, references.values())) / ft.SAMPLE_RATE_HZ
+    build_speed = music_s / (time.process_time() - begin)
+    twins = {other: one for one, other in find_duplicates(everything)}
+    for other, one in twins.items():
+        print(f"'{other}' is taken out: it holds the same as '{one}'", file=sys.stderr)
+    recordings = [r for r in recordings if r.name not in twins]
+    queries = make_queries(recordings, args, is_quiet)
+    left_out = list(queries)[LEFT_OUT_EVERY - 1 :: LEFT_OUT_EVERY]
     unknown = [query for name in left_out for query in queries.pop(name)]
     known = [query for own in queries.values() for query in own]
-    real, begin = Index(), time.process_time()
-    for name in queries:
-        real.add(name, references[name], ft.SAMPLE_RATE_HZ)
-    real.all_landmarks()
-    music_s = sum(len(references[name]) for name in queries) / ft.SAMPLE_RATE_HZ
-    build_speed = music_s / (time.process_time() - begin)
+    real = everything.subset([everything.names.index(name) for name in queries])
     del recordings
     places = Places(references)
     rows: list[Row] = []
