@@ -20,7 +20,7 @@ class RouterChoice:
         thresholds: Of the rule.
     """
 
-    backend: Literal["embedded", "ast", "energy"] = "energy"
+    backend: Literal["embedded", "ast", "energy"] = "embedded"
     model: str = ""
     thresholds: RouterConfig = field(default_factory=RouterConfig)
 
@@ -67,5 +67,5 @@ class HearingConfig:
     matcher: Literal["alignment", "constellation"] = "alignment"
     router: RouterChoice = field(default_factory=RouterChoice)
     likeness: LikenessChoice = field(default_factory=LikenessChoice)
-    sections: bool = True
+    sections: bool = False
     conductor: ConductorConfig = field(default_factory=ConductorConfig)

@@ -224,7 +224,7 @@ class ListenerNode:
             )
             msg.track = state.track
             msg.track_zero_utime = state.track_zero_utime
-            msg.tau_s = state.place.at(start)
+            msg.tau_s = state.place.at(start if self._is_locking else state.place.utime)
             boundary = self._next_boundary_s(state.track, state.place.at(now))
             msg.next_boundary_s = math.nan if boundary is None else boundary
         result = self._said_by(state)

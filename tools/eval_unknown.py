@@ -24,13 +24,14 @@ from downbeat.lcm_types import music_match_t, skill_request_t
 from downbeat.perception.source import Recording
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.errors import ToolError
-from downbeat.tools.eval_mashup import dance_names, say, write_show
+from downbeat.tools.eval_mashup import dance_names, write_show
 from downbeat.tools.finish import finish_run
+from downbeat.tools.follow_reference import find_reference
 from downbeat.tools.mashup import build_mashup
 from downbeat.tools.matcher_sounds import load_folder
 from downbeat.tools.metrics import first_sample_utime
 from downbeat.tools.metrics_beats import phase_error_s
-from downbeat.tools.recordings import Library, build_library, cached_grid
+from downbeat.tools.recordings import Library, build_library
 from downbeat.tools.run_lockstep import run_lockstep
 from downbeat.tools.rundir import new_run_dir
 from downbeat.tools.runlog import LOG_NAME, RunLog, read_run
@@ -82,10 +83,8 @@ def eval_unknown(
     Raises:
         ToolError: No stranger is long and steady enough.
     """
-    from downbeat.tools.eval_follow import is_steady
-
     pieces = [r for r in load_folder(strangers).values() if r.duration_s >= MIN_S + 1.0]
-    pieces = [r for r in pieces if is_steady(r)]
+    pieces = [r for r in pieces if find_reference(r).is_steady]
     order = np.random.default_rng(seed).permutation(len(pieces))[:count]
     if not len(order):
         raise ToolError(
@@ -118,7 +117,7 @@ def _dance(
     rng = np.random.default_rng([seed, len(piece.samples)])
     length_s = min(seconds, piece.duration_s - 1.0)
     from_s = round(float(rng.uniform(0.0, piece.duration_s - length_s)), 2)
-    grid = cached_grid(piece, say)
+    grid = find_reference(piece).grid
     stranger = Track(piece.name, "stand", grid, title=piece.name, duration_s=piece.duration_s)
     entry = SetEntry(piece.name, from_s, length_s)
     named = {piece.name: stranger}
