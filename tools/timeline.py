@@ -14,7 +14,8 @@ from downbeat.tools import palette
 from downbeat.tools.metrics import first_sample_utime
 from downbeat.tools.metrics_sections import fallen_spans
 from downbeat.tools.runlog import AUDIO_NAME, LOG_NAME, RunLog, read_run
-from downbeat.tools.timeline_panel import WAVE_HZ, Check, Picture, Span, draw_panel
+from downbeat.tools.timeline_panel import TOP, WAVE_HZ, Check, Picture, Span, draw_panel
+from downbeat.tools.timeline_speech import SPEECH_TOP, said_lines
 from downbeat.tools.truth import TRUTH_NAME, Truth, read_truth
 
 TIMELINE_NAME = "timeline.png"
@@ -22,7 +23,7 @@ WIDTH_PX = 1600
 DPI = 100
 PANEL_S = 130.0
 """Longer shows get several panels below each other."""
-HEADER_IN, PANEL_IN, FOOTER_IN = 0.95, 4.15, 0.85
+HEADER_IN, PANEL_IN, AXES_IN, FOOTER_IN = 0.95, 4.15, 3.8, 0.85
 
 
 def draw_timeline(run_dir: Path, metrics: dict[str, Any], audio: Path | None = None) -> Path:
@@ -47,7 +48,9 @@ def draw_timeline(run_dir: Path, metrics: dict[str, Any], audio: Path | None = N
     wave = sound if sound.is_file() else None
     picture = gather(read_run(run_dir / LOG_NAME), read_truth(run_dir / TRUTH_NAME), metrics, wave)
     panels = max(1, math.ceil((picture.end_s - picture.start_s) / PANEL_S - 0.05))
-    height_in = HEADER_IN + panels * PANEL_IN + FOOTER_IN
+    axes_in = AXES_IN * (SPEECH_TOP / TOP if picture.has_speech else 1.0)
+    panel_in = axes_in + PANEL_IN - AXES_IN
+    height_in = HEADER_IN + panels * panel_in + FOOTER_IN
     path = run_dir / TIMELINE_NAME
     with matplotlib.rc_context({"font.family": "DejaVu Sans", "font.size": 11}):
         figure = Figure(figsize=(WIDTH_PX / DPI, height_in), dpi=DPI, facecolor=palette.BACKGROUND)
@@ -55,8 +58,8 @@ def draw_timeline(run_dir: Path, metrics: dict[str, Any], audio: Path | None = N
         _draw_header(figure, metrics, height_in)
         span_s = (picture.end_s - picture.start_s) / panels
         for k in range(panels):
-            bottom_in = FOOTER_IN + (panels - 1 - k) * PANEL_IN
-            axes = figure.add_axes((0.062, bottom_in / height_in, 0.925, 3.8 / height_in))
+            bottom_in = FOOTER_IN + (panels - 1 - k) * panel_in
+            axes = figure.add_axes((0.062, bottom_in / height_in, 0.925, axes_in / height_in))
             start_s = picture.start_s + k * span_s
             draw_panel(axes, picture, start_s, start_s + span_s)
         _draw_footer(figure, height_in)
@@ -75,6 +78,7 @@ def gather(log: RunLog, truth: Truth, metrics: dict[str, Any], audio: Path | Non
     danced = spans(ticks_s[inside], log.control.executed[inside])
     blending = np.where(log.control.previous_skill[inside] == "", "", "blend")
     asked = [section.skill for section in truth.sections]
+    said, answers = said_lines(log, truth.raw, metrics, zero)
     return Picture(
         truth=truth,
         rows=metrics["sections"],
@@ -87,6 +91,8 @@ def gather(log: RunLog, truth: Truth, metrics: dict[str, Any], audio: Path | Non
         wave=None if audio is None else _envelope(audio),
         start_s=-1.0,
         end_s=truth.duration_s + 1.0,
+        said=tuple(said),
+        answers=tuple(answers),
     )
 
 

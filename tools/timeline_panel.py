@@ -10,6 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from downbeat.tools import palette
+from downbeat.tools.timeline_speech import (
+    ANSWER_ROW,
+    SAID_ROW,
+    SPEECH_TOP,
+    Line,
+    draw_lines,
+)
 from downbeat.tools.truth import Section, Truth
 
 PANEL_PX = 1480
@@ -65,13 +72,20 @@ class Picture:
     wave: NDArray[np.float64] | None
     start_s: float
     end_s: float
+    said: tuple[Line, ...] = ()
+    answers: tuple[Line, ...] = ()
+
+    @property
+    def has_speech(self) -> bool:
+        """Whether anybody spoke."""
+        return bool(self.said or self.answers)
 
 
 def draw_panel(axes: Any, picture: Picture, start_s: float, end_s: float) -> None:
     """Draw the rows from `start_s` to `end_s` [s of the show] into matplotlib axes."""
     axes.set_facecolor(palette.BACKGROUND)
     axes.set_xlim(start_s, end_s)
-    axes.set_ylim(0.0, TOP)
+    axes.set_ylim(0.0, SPEECH_TOP if picture.has_speech else TOP)
     for side in ("left", "right", "top"):
         axes.spines[side].set_visible(False)
     axes.spines["bottom"].set_color(palette.MUTED)
@@ -80,7 +94,9 @@ def draw_panel(axes: Any, picture: Picture, start_s: float, end_s: float) -> Non
     step_s = next(s for s in (5, 10, 20, 30, 60) if (end_s - start_s) / s <= 14 or s == 60)
     ticks = np.arange(math.ceil(max(start_s, 0.0) / step_s) * step_s, end_s, step_s)
     axes.set_xticks(ticks, [f"{int(t) // 60}:{int(t) % 60:02d}" for t in ticks])
+    speech = ((SAID_ROW, "said"), (ANSWER_ROW, "answer")) if picture.has_speech else ()
     for (bottom, height), label in (
+        *speech,
         (TRACK_ROW, "track"),
         (ASKED_ROW, "asked"),
         (DANCED_ROW, "danced"),
@@ -98,6 +114,8 @@ def draw_panel(axes: Any, picture: Picture, start_s: float, end_s: float) -> Non
             ha="right",
             va="center",
         )
+    for row, lines in ((SAID_ROW, picture.said), (ANSWER_ROW, picture.answers)):
+        draw_lines(axes, row, lines, _px_per_s(axes), "\u201c\u201d")
     _draw_tracks(axes, picture)
     _draw_skills(axes, picture)
     _draw_heard(axes, picture)
@@ -158,8 +176,8 @@ def _draw_skills(axes: Any, picture: Picture) -> None:
         axes.axvspan(
             span.start_s,
             span.end_s,
-            ymin=bottom / TOP,
-            ymax=(bottom + height) / TOP,
+            ymin=bottom / axes.get_ylim()[1],
+            ymax=(bottom + height) / axes.get_ylim()[1],
             facecolor="none",
             edgecolor="#10121a",
             hatch="////",
@@ -210,8 +228,8 @@ def _draw_heard(axes: Any, picture: Picture) -> None:
         axes.axvspan(
             span.start_s,
             span.end_s,
-            ymin=bottom / TOP,
-            ymax=(bottom + height) / TOP,
+            ymin=bottom / axes.get_ylim()[1],
+            ymax=(bottom + height) / axes.get_ylim()[1],
             color=colours[span.value],
             linewidth=0,
         )
