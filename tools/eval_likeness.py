@@ -80,6 +80,7 @@ def eval_likeness(options: LikenessOptions, as_json: bool) -> int:
     heard = hear(recordings, groups, embedder, options)
     report = {
         "backend": embedder.name, "condition": options.condition, "seconds": options.seconds,
+        "left_out": left_out(options.tracks, heard),
         **score(heard, options.seed),
     }  # fmt: skip
     if as_json:
@@ -108,6 +109,11 @@ def read_groups(path: Path) -> dict[str, str]:
             raise ToolError(f"{path}:{number} is '{line}'; expected: track, tab, group.")
         groups[cells[0]] = cells[1].strip()
     return groups
+
+
+def left_out(folder: Path, heard: Heard) -> list[str]:
+    """Return recordings that are in no group, silent, or under 20 s: too short for halves."""
+    return sorted({p.stem for p in audio_files(folder)} - set(heard.tables[0].names))
 
 
 def _recordings(folder: Path, groups: Mapping[str, str]) -> list[Recording]:
@@ -309,7 +315,8 @@ def _summary(values: F64, rng: np.random.Generator, chance: float) -> dict[str, 
 def _print(report: Mapping[str, Any]) -> None:
     print(
         f"{report['backend']}, {report['condition']}, {report['seconds']:g} s: "
-        f"{report['queries']} queries of {report['tracks']} tracks, each out of the catalogue"
+        f"{report['queries']} queries of {report['tracks']} tracks, each out of the catalogue; "
+        f"{len(report['left_out'])} recordings left out (no group, silent, or under 20 s)"
     )
     rows = {
         "nearest track is of the own group": "group_top1",
