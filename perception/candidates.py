@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from downbeat.perception.alignment import QUIET_SHARE, CoarseScan, FineAligner, best_places
 from downbeat.perception.codes import CodeTable, make_code_table, query_codes
-from downbeat.perception.features import F32
+from downbeat.perception.errors import PerceptionError
+from downbeat.perception.features import F32, NUM_BANDS
 from downbeat.perception.index import (
     QUANTUM,
     Coarse,
+    Fine,
     Index,
+    Power,
     coarse,
     coarse_of_fine,
     joined,
@@ -151,6 +155,34 @@ def normalise(scores: F32, energy: F32, query: F32, floor: float) -> F32:
     return np.asarray(scores / np.sqrt(np.maximum(energy, floor) * power), np.float32)
 
 
+class SilentIfDamaged(Sequence[Fine]):
+    """Tracks that are checked when first used: a damaged one is silence, which is said once.
+
+    A listener that plays a show goes on with the other tracks.
+    """
+
+    def __init__(self, tracks: Sequence[Fine], power: Sequence[Power]) -> None:
+        """Take the features of each track, (n_i, NUM_BANDS), and their power, (n_i,)."""
+        self._tracks, self._power = tracks, power
+        self._silence: dict[int, Fine] = {}
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return len(self._tracks)
+
+    def __getitem__(self, number: Any) -> Any:
+        """Return the features of a track, (n, NUM_BANDS)."""
+        if number in self._silence:
+            return self._silence[number]
+        try:
+            return self._tracks[number]
+        except PerceptionError as error:
+            print(f"A track is not recognised any more: {error}", file=sys.stderr)
+            silence = np.zeros((len(self._power[number]), NUM_BANDS), np.int8)
+            self._silence[number] = silence
+            return silence
+
+
 def prepare(index: Index, max_scanned_tracks: int = MAX_SCANNED_TRACKS) -> tuple[Scan, FineAligner]:
     """Return both stages of the search over an index; decoys belong to a small one.
 
@@ -160,7 +192,8 @@ def prepare(index: Index, max_scanned_tracks: int = MAX_SCANNED_TRACKS) -> tuple
     """
     if len(index.names) > max_scanned_tracks:
         table = index.codes or make_code_table(index.coarse)
-        return ProposedScan(index.coarse, table), FineAligner(index.fine, index.power)
+        fine = SilentIfDamaged(index.fine, index.power)
+        return ProposedScan(index.coarse, table), FineAligner(fine, index.power)
     decoys = make_decoys(index.fine)
     scan = CoarseScan([*index.coarse, *(coarse_of_fine(d) for d in decoys)])
     power = [*index.power, *(power_of_fine(d) for d in decoys)]

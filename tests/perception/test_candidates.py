@@ -10,6 +10,7 @@ from synthetic_music import RATE, make_music
 from downbeat.perception.candidates import ProposedScan, most_voted, prepare
 from downbeat.perception.codes import BITS, TABLES, codes_of, make_code_table, query_codes
 from downbeat.perception.index import QUANTUM, Index
+from downbeat.perception.index_file import HEAD
 from downbeat.perception.matcher import AlignmentMatcher
 from downbeat.tools.bench_scale_tracks import MadeTracks, make_index
 
@@ -95,6 +96,25 @@ def test_a_saved_large_index_answers_the_same(large, proposing, music, tmp_path,
     for number in range(4):
         sound = degraded(music, number, rng)[2]
         assert again.query(sound, RATE) == proposing.query(sound, RATE)
+
+
+def test_a_damaged_track_is_silent_and_the_others_go_on(
+    large, music, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("downbeat.perception.index_file.EAGER_BYTES", 0)
+    path = tmp_path / "index.bin"
+    large.save(path)
+    content = bytearray(path.read_bytes())
+    content[HEAD.size + 700] ^= 1  # in the first track
+    path.write_bytes(content)
+    again = AlignmentMatcher(Index.load(path), max_scanned_tracks=100)
+    for start_s in (5.0, 15.0):
+        first, second = (
+            music[name][round(start_s * RATE) :][: 5 * RATE] for name in ("piece0", "piece1")
+        )
+        assert not again.query(first, RATE).accepted
+        assert again.query(second, RATE).accepted
+    assert capsys.readouterr().err.count("not recognised") == 1
 
 
 def test_codes_are_spread_evenly(large):
