@@ -17,6 +17,8 @@ from downbeat.perception.beats import GRID_FORMAT, estimate_grid
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import Index
 from downbeat.perception.index_file import VERSION, features_fingerprint
+from downbeat.perception.likeness_build import LIKENESS_NAME, build_likeness
+from downbeat.perception.likeness_embedded import EmbeddedDescriptor
 from downbeat.perception.source import Recording, audio_files, load_recording
 from downbeat.perception.timeline import tempo_octave
 from downbeat.policies.manifest import load_skills
@@ -191,7 +193,10 @@ def _text(value: str) -> str:
 
 
 def build_index(recordings: Mapping[str, Recording], path: Path) -> None:
-    """Index single tracks; cached by content, because a show indexes the same tracks again."""
+    """Index single tracks, and what each sounds like, beside it.
+
+    Both are cached by content, because a show indexes the same tracks again.
+    """
     digest = hashlib.sha256(f"{VERSION} {features_fingerprint()}".encode())
     for name, recording in recordings.items():
         digest.update(name.encode() + recording.samples.tobytes())
@@ -203,6 +208,11 @@ def build_index(recordings: Mapping[str, Recording], path: Path) -> None:
         cached.parent.mkdir(parents=True, exist_ok=True)
         index.save(cached)
     shutil.copy(cached, path)
+    # Made by another embedder, the table is made anew; else it is there already.
+    likeness = cached.with_suffix(f".{EmbeddedDescriptor().digest[:12]}.npz")
+    if not likeness.is_file():
+        build_likeness(recordings, likeness)
+    shutil.copy(likeness, path.with_name(LIKENESS_NAME))
 
 
 def with_duration(track: Track, recording: Recording) -> Track:
