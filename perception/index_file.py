@@ -81,8 +81,10 @@ def write_index(index: Index, path: Path) -> None:
     """Write an index beside its place, then move it there.
 
     Raises:
-        PerceptionError: It cannot be written there.
+        PerceptionError: It holds no track, or cannot be written there.
     """
+    if not index.names:
+        raise PerceptionError(f"Index {path} would hold no track; `add` at least one.")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with temporary.open("wb") as file:

@@ -153,3 +153,9 @@ def test_an_index_in_use_may_be_replaced(small, tmp_path):
     small.subset([0]).save(path)
     assert np.array_equal(loaded.fine[1], small.fine[1])
     assert Index.load(path).names == ["one"]
+
+
+def test_an_empty_index_is_not_written(tmp_path):
+    with pytest.raises(PerceptionError, match="no track"):
+        Index().save(tmp_path / "index.bin")
+    assert not list(tmp_path.iterdir())
