@@ -30,7 +30,7 @@ I64 = npt.NDArray[np.int64]
 I32 = npt.NDArray[np.int32]
 
 MAX_SCANNED_TRACKS = 1_000
-"""Every place of a larger catalogue is no longer compared with a query: 25 ms here."""
+"""Every place of a larger catalogue is no longer compared with a query: 16 ms at this size."""
 LOOKED_UP = 400_000
 """Places looked at per query, those of rare and likely codes first: bounds the time it takes."""
 VOTED = 1_000

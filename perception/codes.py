@@ -34,8 +34,8 @@ TABLES = (
     (CELLS // 4, CELLS - CELLS // 4),
 )
 """First cell of each table's codes, and where they stop."""
-UNCERTAIN = 6
-"""Signs tried both ways."""
+UNCERTAIN, SHORT_UNCERTAIN, SHORT_ROWS = 6, 8, 20
+"""Signs tried both ways; more in a query of so few coarse rows (3.2 s), which has fewer codes."""
 FLIP_COST = 2.0
 """log odds against a wrong sign, per standard deviation of its projection."""
 TIME_CORRELATION = 0.8
@@ -121,7 +121,8 @@ def query_codes(values: F32) -> tuple[I64, I64, F32]:
     """
     keys, rows, costs = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, np.float32)]
     weights = 1 << np.arange(BITS)
-    subsets = (np.arange(1 << UNCERTAIN)[:, None] >> np.arange(UNCERTAIN) & 1).T  # (6, 64)
+    tried = UNCERTAIN if len(values) // 2 > SHORT_ROWS else SHORT_UNCERTAIN
+    subsets = (np.arange(1 << tried)[:, None] >> np.arange(tried) & 1).T  # (6, 64)
     for phase in (0, 1):
         cells = coarse(values[phase:])
         if len(cells) < ROWS:
@@ -130,9 +131,9 @@ def query_codes(values: F32) -> tuple[I64, I64, F32]:
         signed /= np.sqrt((signed**2).mean((0, 2), keepdims=True) + 1e-9)
         code = (signed > 0.0) @ weights + (np.arange(len(TABLES)) << BITS)
         margin = np.abs(signed)
-        doubtful = np.argpartition(margin, UNCERTAIN, axis=2)[:, :, :UNCERTAIN]
+        doubtful = np.argpartition(margin, tried, axis=2)[:, :, :tried]
         keys.append((code[:, :, None] ^ (weights[doubtful] @ subsets)).ravel())  # m tables 64
         cost = np.take_along_axis(margin, doubtful, 2) @ subsets.astype(np.float32)
         costs.append(np.float32(FLIP_COST) * cost.ravel())
-        rows.append(np.repeat(np.arange(len(cells) - ROWS + 1), len(TABLES) << UNCERTAIN))
+        rows.append(np.repeat(np.arange(len(cells) - ROWS + 1), len(TABLES) << tried))
     return np.concatenate(keys), np.concatenate(rows), np.concatenate(costs)
