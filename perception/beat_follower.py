@@ -19,6 +19,8 @@ from downbeat.perception.beat_line import BeatLine, LineFitter
 from downbeat.perception.features import F32
 from downbeat.perception.onset_stream import F64, SAMPLE_RATE_HZ, STEP_S, OnsetStream
 from downbeat.perception.rhythm import (
+    MAX_BPM,
+    MIN_BPM,
     NUM_PHASES,
     NUM_TEMPOS,
     PERIODS_S,
@@ -40,18 +42,21 @@ FIRST_LOOK_S = 2.0
 MEMORY_S = 6.0
 """Looks count for the choice of the beat for so long, besides the bank's own memory."""
 SHARPNESS = 2.0
-"""Scores are averages of looks that overlap; so much sharper is their soft maximum, chosen so that
-the confidence is the share of right choices (docs/beat_follower.md)."""
+"""Scores are averages of looks that overlap; their soft maximum is so much sharper. Measured on
+recordings held apart, confidences of 0.65, 0.85, 0.92 and 1.0 were right in 53, 75, 85 and 99 %."""
 EDGE = 1.03
 """80.0 BPM does not become 160 because it was measured as 79.9."""
+SLACK = 1.005
+"""A line this far outside the tempos that are known belongs to another octave."""
 SAME_TEMPO, SAME_PHASE = 0.02, 0.09
 """Beats this close in log period and in beats are one."""
 CHALLENGE, CHALLENGE_LOOKS = 0.3, 4
 """Another beat takes over when it leads by this score for so many looks."""
-STEADY_ON, STEADY_OFF = 0.75, 0.35
-STEADY_LOOKS = 3
-MIN_ACTIVITY = 0.012
-"""Mean onset strength below this is no music but a room."""
+STEADY_ON, STEADY_OFF = 0.85, 0.6
+STEADY_LOOKS = 2
+"""Steady, and no longer steady, after so many looks on end."""
+MIN_ACTIVITY = 0.06
+"""Mean onset strength below this is no music but a quiet room; music has 0.1 to 0.3."""
 MIN_CONFIDENCE = 0.15
 
 
@@ -139,7 +144,8 @@ class BeatFollower:
         line = self._line
         period_s = line.period_s / self._octave
         time_s = (utime - self._zero_utime) * 1e-6
-        beat_s = line.beat_s + round((time_s - line.beat_s) / period_s) * period_s
+        first_s = line.beat_s - (line.number % 2) * line.period_s
+        beat_s = first_s + round((time_s - first_s) / period_s) * period_s
         return Beat(
             self._zero_utime + round(beat_s * 1e6),
             period_s,
@@ -159,7 +165,7 @@ class BeatFollower:
 
     def _look(self, now_s: float) -> None:
         keep = math.exp(-LOOK_S / MEMORY_S)
-        score = self._template.score(self._bank.coefficients())
+        score = self._bank.fill * self._template.score(self._bank.coefficients())
         score -= logsumexp(score)
         turned = _turn(self._scores, LOOK_S)
         self._scores = keep * turned + (1.0 - keep) * score
@@ -192,7 +198,9 @@ class BeatFollower:
         mine = _same_beat(self._line, now_s)
         leads = bool(scores.max() > scores[mine].max(initial=-np.inf) + CHALLENGE)
         self._lead = self._lead + 1 if leads else 0
-        if self._lead >= (CHALLENGE_LOOKS if self._steady else 1):
+        bpm = 60.0 / self._line.period_s
+        lost = not MIN_BPM / SLACK <= bpm <= MAX_BPM * SLACK
+        if lost or self._lead >= (CHALLENGE_LOOKS if self._steady else 1):
             self._line, self._lead = self._fitter.begin(other, now_s), 0
             self._steady, self._sure = False, 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ PHASE_GAIN, PERIOD_GAIN, FIRST_GAIN = 0.15, 0.08, 0.5
 more, one over the number of looks."""
 PRIOR_PHASE_S, PRIOR_PERIOD = 0.035, 0.006
 PRIOR_WEIGHT = 0.25
-"""Weak onsets do not move the line: a place this far off must be stronger by so many mean frames."""
+"""Weak onsets do not move the line: a place this far off must be so many mean frames stronger."""
 FIRST_STD_S = 0.03
 STD_MEMORY = 0.9
 LEAST_STD_S = 0.003
@@ -36,16 +37,20 @@ class BeatLine:
         period_s: [s].
         std_s: Uncertainty of a beat now [s].
         looks: How often it was fitted.
+        number: Of beat_s among the line's beats: at half the tempo, even ones count.
     """
 
     beat_s: float
     period_s: float
     std_s: float = FIRST_STD_S
     looks: int = 0
+    number: int = 0
 
-    def last_before(self, time_s: float) -> float:
-        """Return the last beat that is not after a time [s]."""
-        return self.beat_s + np.floor((time_s - self.beat_s) / self.period_s) * self.period_s
+    def moved_to(self, time_s: float) -> BeatLine:
+        """Return the same line, named by its last beat that is not after a time [s]."""
+        beats = math.floor((time_s - self.beat_s) / self.period_s)
+        beat_s = self.beat_s + beats * self.period_s
+        return replace(self, beat_s=beat_s, number=self.number + beats)
 
 
 class LineFitter:
@@ -67,21 +72,23 @@ class LineFitter:
     def follow(self, line: BeatLine, now_s: float) -> BeatLine:
         """Return the line moved towards the best fit."""
         fit = self._fit(line, now_s)
-        error_s = fit.beat_s - line.last_before(now_s)
+        line = line.moved_to(now_s)
+        error_s = fit.beat_s - line.beat_s
         error_s -= round(error_s / line.period_s) * line.period_s
         std_s = np.sqrt(STD_MEMORY * line.std_s**2 + (1.0 - STD_MEMORY) * error_s**2)
         gain = FIRST_GAIN / (1.0 + FIRST_GAIN * line.looks)
         return BeatLine(
-            line.last_before(now_s) + max(gain, PHASE_GAIN) * error_s,
+            line.beat_s + max(gain, PHASE_GAIN) * error_s,
             line.period_s + max(gain, PERIOD_GAIN) * (fit.period_s - line.period_s),
             float(max(std_s, LEAST_STD_S)),
             line.looks + 1,
+            line.number,
         )
 
     def _fit(self, line: BeatLine, now_s: float) -> BeatLine:
         """Search phase and period around a line for the strongest onsets."""
         curve = np.maximum(gaussian_filter1d(self._curve, SMOOTH_S / HOP_S), 0.0)
-        last_s = line.last_before(now_s - 0.02)
+        last_s = line.moved_to(now_s - 0.02).beat_s
         heard_s = min(self._frames * HOP_S, HISTORY_S) - 0.1
         count = max(3, int(heard_s / line.period_s))
         ages = np.arange(count)

@@ -39,8 +39,8 @@ FLOOR = 3e-3
 """And never below this magnitude: a quiet room's noise is no music."""
 LEVEL_S = 4.0
 LATE_S = 0.007
-"""The curve peaks this much after an onset: it begins to grow when the window touches the onset, but
-growth is known only at the end of the lag (measured on the bundled pieces, whose beats are known)."""
+"""The curve peaks this much after an onset: growth shows as soon as the window touches it, but is
+complete only at the end of the lag (measured on the bundled pieces, whose beats are known)."""
 
 
 def _band_edges() -> npt.NDArray[np.int64]:

@@ -90,6 +90,11 @@ class RhythmBank:
         self._power = self._keep * self._power + (strength**2).sum(axis=0)
         self._frames = self._keep * self._frames + STEP_FRAMES
 
+    @property
+    def fill(self) -> float:
+        """How much of the memory holds sound, 0..1: few beats always look regular."""
+        return float(self._frames * (1.0 - self._keep) / STEP_FRAMES)
+
     def coefficients(self) -> C128:
         """Return what each tempo picks, (NUM_TEMPOS, NUM_GROUPS, harmonics).
 

@@ -133,9 +133,9 @@ def score(followed: Followed, reference: Reference, start_s: float = 0.0) -> dic
     error_s, modulo_s, same = beat_errors(followed, reference)
     steady = followed.is_steady
     late = followed.time_s - start_s >= JUDGED_FROM_S
-    beats, true = followed.beats_s, reference.beats_s
-    beats = beats[beats >= start_s + JUDGED_FROM_S]
-    true = [t[(t >= start_s + JUDGED_FROM_S) & (t <= followed.time_s[-1])] for t in octaves(true)]
+    judged_s = (start_s + JUDGED_FROM_S, followed.time_s[-1])
+    beats = _within(followed.beats_s, *judged_s)
+    true = [_within(t, *judged_s) for t in _same_octave(followed, reference)]
     return {
         "bpm": reference.grid.tempo_bpm,
         "followed_bpm": _or_none(60.0 / np.nanmedian(followed.period_s)) if steady.any() else None,
@@ -147,6 +147,20 @@ def score(followed: Followed, reference: Reference, start_s: float = 0.0) -> dic
         "f_measure": max(f_measure(beats, t) for t in true),
         "cpu_share": followed.cpu_s / max(followed.time_s[-1] - start_s, 1e-9),
     }
+
+
+def _same_octave(followed: Followed, reference: Reference) -> list[F64]:
+    """Return the reference's beats at the octave of the clock; at half tempo, both choices."""
+    same, doubled, first, second = octaves(reference.beats_s)
+    if not np.isfinite(followed.period_s).any():
+        return [same]
+    bpm = 60.0 / float(np.nanmedian(followed.period_s))
+    ratio = np.log2(bpm / reference.grid.tempo_bpm)
+    return {1: [doubled], -1: [first, second]}.get(round(ratio), [same])
+
+
+def _within(beats_s: F64, first_s: float, last_s: float) -> F64:
+    return beats_s[(beats_s >= first_s) & (beats_s <= last_s)]
 
 
 def total(rows: list[dict[str, Any]]) -> dict[str, Any]:
