@@ -83,6 +83,26 @@ class Beat:
 
 
 @dataclass(frozen=True)
+class Follow:
+    """Follow the beat of recordings nobody knows while they play, against offline analyses."""
+
+    tracks: Path | None = None
+    """Folder of audio files (wav, flac, ogg, mp3); omitted: the bundled pieces."""
+    robot: Path | None = None
+    """Folder of voices: hear through the robot's microphone among them."""
+    start_s: float = 0.0
+    """Begin this far into every recording [s]."""
+    json: bool = False
+    """Print the report as one JSON object on standard output."""
+
+    def run(self) -> int:
+        """Run it; 0 if the phase errors reach their targets."""
+        from downbeat.tools.eval_follow import run_eval_follow
+
+        return run_eval_follow(self.tracks, self.robot, self.start_s, self.json)
+
+
+@dataclass(frozen=True)
 class Speech:
     """Ground written utterances, or with --spoken: speak to the robot and see what it does."""
 
@@ -280,7 +300,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Eval:
-    """Evaluate: `mashup` (M20, M30 of the paper), `chunks` (single windows), `beat`, `speech`."""
+    """Evaluate: `mashup` (M20, M30 of the paper), `chunks` (single windows), `beat`, `follow` (unknown music), `speech`."""
 
     what: (
         Annotated[Mashup, tyro.conf.subcommand("mashup")]
@@ -288,6 +308,7 @@ class Eval:
         | Annotated[Sections, tyro.conf.subcommand("sections")]
         | Annotated[Unknown, tyro.conf.subcommand("unknown")]
         | Annotated[Beat, tyro.conf.subcommand("beat")]
+        | Annotated[Follow, tyro.conf.subcommand("follow")]
         | Annotated[Speech, tyro.conf.subcommand("speech")]
         | Annotated[Likeness, tyro.conf.subcommand("likeness")]
         | Annotated[Router, tyro.conf.subcommand("router")]
