@@ -213,6 +213,8 @@ class FineAligner:
     def _reference(self, track: int, begin: int, length: int) -> F32:
         """Return `length` frames from `begin`, zeros beyond the ends, (length, NUM_BANDS)."""
         fine = self._fine[track]
+        if begin >= 0 and begin + length <= len(fine):
+            return fine[begin : begin + length].astype(np.float32)
         reference = np.zeros((length, ft.NUM_BANDS), np.float32)
         low, high = max(begin, 0), min(begin + length, len(fine))
         if high > low:

@@ -23,7 +23,8 @@ from downbeat.perception.match import MatchResult, MusicMatcher
 
 __all__ = ["AlignmentMatcher", "MatchResult", "MusicMatcher", "threshold"]
 
-PITCHES = (1.02, 0.98)
+PITCHES, PLAIN_SIMILARITY = (1.02, 0.98), 0.7
+"""No other pitch is tried where this one fits so well."""
 CANDIDATES, PER_TRACK, PITCHED, MORE_PLACES = 24, 4, 6, 12
 """Places aligned finely: in all, of one track, also at other pitches, more of the winner."""
 RANKED = 400
@@ -165,7 +166,8 @@ class AlignmentMatcher:
         places = spread_out(ranked, track_of, CANDIDATES, PER_TRACK).tolist()
         heard = {1.0: Heard(values)}
         found = {place: self._fit(heard[1.0], place) for place in places}
-        for pitch in PITCHES:
+        is_plain = bool(found) and max(found.values()).similarity > PLAIN_SIMILARITY
+        for pitch in () if is_plain else PITCHES:
             heard[pitch] = Heard(ft.shift_pitch(values, pitch), pitch)
             for place in places[:PITCHED]:
                 found[place] = max(found[place], self._fit(heard[pitch], place))
