@@ -1,9 +1,9 @@
-"""The grammar of what may be said to the robot, from the skills' own phrases, and how it sounds."""
+"""What may be said around the skills' phrases, and how words sound."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 STOP_WORDS = (
     "stop",
@@ -16,66 +16,25 @@ STOP_WORDS = (
     "basta",
     "stand still",
 )
-_STOPPING = {text.split()[0] for text in STOP_WORDS}
 ALONE = ("again", "faster", "slower", "do it again", "go faster", "go slower")
 
-_ADDRESS = ("robot", "hey robot", "please")
-_ASKING = ("can you", "could you", "would you", "please")
-_NEGATION = ("don't", "do not", "never")
-_VERB = ("do", "do a", "do the", "dance", "dance a", "dance the", "show me", "show me the")
-_NUMBERS = ("one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "twenty")
-_TAIL = ("please", "now", "again", "robot")
+ADDRESS = ("robot", "hey robot", "please")
+ASKING = ("can you", "could you", "would you", "please")
+NEGATION = ("don't", "do not", "never")
+VERB = ("do", "do a", "do the", "dance", "dance a", "dance the", "show me", "show me the")
+NUMBERS = ("one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "twenty")
+TAIL = ("please", "now", "again", "robot")
+AMOUNTS = tuple(
+    [f"for {number} {unit}" for number in NUMBERS for unit in ("seconds", "minutes")]
+    + [f"{number} {unit}" for number in NUMBERS for unit in ("meters", "steps", "times")]
+)
 
 _WORD = re.compile(r"[a-z][a-z']*")
 
 
 def plain(text: str) -> str:
-    """Return the words of a text in small letters, without marks: what a grammar can hold."""
+    """Return the words of a text in small letters, without marks."""
     return " ".join(_WORD.findall(text.lower().replace("’", "'")))
-
-
-def grammar(phrases: Iterable[str]) -> str:
-    """Return the JSGF grammar of commands.
-
-    A negation is part of it on purpose: without one, "don't dance" is heard as "dance". Stops
-    are never negated nor counted: the short words of it only swallow the sound of others.
-
-    Args:
-        phrases: As the skill manifests have them, unique or not.
-    """
-    known = {text for phrase in phrases if (text := plain(phrase))}
-    bare = sorted({text for text in known if text.split()[0] in _STOPPING} | set(STOP_WORDS))
-    bare += ALONE
-    known -= set(bare)
-    rare = "/1/ <NULL> | /0.0001/"  # what may be left out is only heard where the sound says so
-    maybe = {
-        name: f"( {rare} <{name}> )"
-        for name in ("address", "asking", "negation", "verb", "amount", "tail")
-    }
-    phrase = f"{maybe['negation']} {maybe['verb']} <phrase> {maybe['amount']}" if known else ""
-    return "\n".join(
-        (
-            "#JSGF V1.0;",
-            "grammar commands;",
-            f"<address> = {' | '.join(_ADDRESS)};",
-            f"<asking> = {' | '.join(_ASKING)};",
-            f"<negation> = {' | '.join(_NEGATION)};",
-            f"<verb> = {' | '.join(_VERB)};",
-            f"<number> = {' | '.join(_NUMBERS)};",
-            "<amount> = for <number> (seconds | minutes) | <number> (meters | steps | times);",
-            f"<tail> = {' | '.join(_TAIL)};",
-            f"<phrase> = {' | '.join(sorted(known) or ['<NULL>'])};",
-            f"<bare> = {' | '.join(bare)};",
-            f"public <command> = {maybe['address']} {maybe['asking']} ( {phrase or '<bare>'} |"
-            f" <bare> ) {maybe['tail']};",
-        )
-    )
-
-
-def words(jsgf: str) -> list[str]:
-    """Return every word that a grammar can say, sorted."""
-    body = re.sub(r"<[^>]*>|/[^/]*/", " ", jsgf.split(";", 2)[2])
-    return sorted(set(_WORD.findall(body.replace("public", " "))))
 
 
 # Letters to sounds, longest first: for the few words that no dictionary has.

@@ -1,9 +1,11 @@
-"""The embedded recogniser: a grammar of the skills' phrases that says nothing rather than wrong.
+"""The embedded recogniser: hears the skills' phrases, and says nothing rather than wrong.
 
-Two searches hear the same sound: the grammar, and a free loop over all phones. What is a command
-fits the grammar nearly as well as it fits the loop; any other sentence fits it far worse. The
-log-likelihood ratio of both, over the utterance and over its worst word, decides, by weights that
-`python -m downbeat.tools.calibrate_recogniser` froze.
+The acoustic model is the one that the package pocketsphinx carries; the search is made for this
+task. One pass scores every phrase with what may be said around it, and a loop of any phones hears
+the same sound. What is a command fits its phrase nearly as well as it fits the loop, in every part
+of it, and fits no phrase of another meaning; any other sentence does not. How sure that is says a
+logistic regression of a few such figures, which `python -m downbeat.tools.calibrate_recogniser`
+froze.
 """
 
 from __future__ import annotations
@@ -11,35 +13,47 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from downbeat.perception.acoustic_model import load_acoustic_model, packaged_folder
+from downbeat.perception.cepstra import cepstra, mel_spectrum, streams, without_noise
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
-from downbeat.perception.recogniser_grammar import british, grammar, pronounce, words
+from downbeat.perception.phone_network import Chain, Part, Search, best_states, search
+from downbeat.perception.recogniser_grammar import NEGATION
+from downbeat.perception.recogniser_network import (
+    AFTER,
+    PHRASE,
+    Dictionary,
+    command_networks,
+)
 from downbeat.perception.recognisers import SAMPLE_RATE_HZ, Recognition, nothing, usable
 
 CALIBRATION_FILE = Path(__file__).parent / "data" / "recogniser_pocketsphinx.json"
 MAX_COMMAND_S = 8.0
 """Longer speech is no command, and is not worth the time that decoding it takes."""
 
-FEATURES = ("ratio", "worst_word", "log_frames")
+FEATURES = ("ratio", "worst_part", "margin", "log_frames", "phones", "around")
+"""Of the best candidate: see `PocketsphinxRecogniser.score`."""
 
-_FRAME_SAMPLES = 160
-_DITHER_DB = -28.0
-"""Below the speech: digital silence and very clean sound break the acoustic model."""
-
-_BEAMS = {"beam": 1e-80, "wbeam": 1e-60, "pbeam": 1e-80}
-_FILLERS = {"<sil>", "<s>", "</s>", "(NULL)", "SIL", "[NOISE]", "[SPEECH]", "+NSN+", "+SPN+"}
+_SCALE = np.float32(0.25)
+"""Of the acoustic scores: frames are no independent witnesses."""
+_PHONE_COST = -3.0
+_MOST_MARGIN = 30.0
+_LIKELIER = 0.5
+"""Per frame: people gain -0.2 to 0.1 by the adaptation, voices like those it heard 1 to 3."""
+_CLOSEST = 12
+"""Candidates whose meaning is looked at."""
+_WORST_PHONES = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What decides that a grammar's answer was really said.
+    """What decides that an answer was really said.
 
     Attributes:
         weights: One per feature, in their order.
@@ -55,7 +69,7 @@ class Calibration:
 
     def confidence(self, features: tuple[float, ...]) -> float:
         """Return 0..1."""
-        total = self.offset + sum(w * x for w, x in zip(self.weights, features))
+        total = self.offset + sum(w * x for w, x in zip(self.weights, features, strict=True))
         return 1.0 / (1.0 + math.exp(-max(min(total, 50.0), -50.0)))
 
 
@@ -79,43 +93,54 @@ def load_calibration(path: Path | None = None) -> Calibration:
         ) from error
 
 
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A way to understand the whole sound.
+
+    Attributes:
+        chain: Of the phrase.
+        score: Logarithm, scaled.
+        parts: What is said, in order, pauses left out; the phrase is one of them.
+        phrase: Which.
+        meaning: What it asks for.
+    """
+
+    chain: Chain
+    score: float
+    parts: tuple[Part, ...]
+    phrase: Part
+    meaning: str
+
+
 class PocketsphinxRecogniser:
     """Hears the given phrases and the stop words, in English; everything else is nothing."""
 
     name = "pocketsphinx"
 
-    def __init__(self, phrases: Iterable[str], calibration: Calibration | None = None) -> None:
-        """Load the acoustic model that the package carries and build the grammar.
+    def __init__(
+        self,
+        phrases: Iterable[str] | Mapping[str, str],
+        calibration: Calibration | None = None,
+    ) -> None:
+        """Load the acoustic model that the package carries and build the networks; about 1 s.
 
         Args:
-            phrases: What the skills are called by.
+            phrases: What the skills are called by, each with what it asks for: phrases of one
+                meaning never compete. "" is a question to be answered. Without meanings every
+                phrase has its own.
             calibration: When an answer counts; None: the frozen one.
 
         Raises:
-            PerceptionError: The package is missing, or refuses the grammar.
+            PerceptionError: The package is missing, or its model is not the one that fits.
         """
-        try:
-            import pocketsphinx
-        except ImportError as error:
-            raise PerceptionError(
-                "The recogniser pocketsphinx is not installed; `pip install pocketsphinx` brings "
-                "it, and backend = openai or whisper needs none."
-            ) from error
         self.calibration = calibration or load_calibration()
-        self._decoder = pocketsphinx.Decoder(
-            # All senones: only then are scores of two searches on one scale.
-            lm=None, loglevel="FATAL", compallsen=True, bestpath=False, **_BEAMS
-        )  # fmt: skip
-        text = grammar(phrases)
-        for word in words(text):
-            self._add(word)
-        try:
-            self._decoder.add_jsgf_string("commands", text)
-            self._decoder.add_allphone_file("phones", None)
-        except (RuntimeError, ValueError) as error:
-            raise PerceptionError(
-                f"The phrases make no grammar ({error}); valid are words of Latin letters."
-            ) from error
+        if not isinstance(phrases, Mapping):
+            phrases = {text: text for text in phrases}
+        folder = packaged_folder()
+        self._model = load_acoustic_model(folder / "en-us")
+        self._models = (self._model, self._model.adapted())
+        dictionary = Dictionary(folder / "cmudict-en-us.dict", self._model)
+        self._networks = command_networks(phrases, self._model, dictionary, _PHONE_COST)
 
     def recognise(self, samples: F32, language: str = "en") -> Recognition:
         """Recognise one utterance; see `Recogniser`."""
@@ -132,70 +157,101 @@ class PocketsphinxRecogniser:
         return Recognition(text, confidence, self.name, compute_us, tuple(text.split()))
 
     def score(self, sound: F32) -> tuple[str, tuple[float, ...]]:
-        """Return the best sentence of the grammar and what speaks for it.
+        """Return the best candidate's words and what speaks for it.
 
         Args:
             sound: (n,) mono, 16 kHz, full scale 1, not digital silence.
 
         Returns:
-            The text ("" where no path fits) and the values of `FEATURES`.
+            The text ("" where no phrase fits into the sound) and the values of `FEATURES`: the
+            log-likelihood ratio to the loop of phones per frame of speech, the same over the worst
+            pair of phones, the distance to the best candidate of another meaning, the logarithm
+            of the frames of speech, the phones of the phrase, the words around it.
         """
-        pcm = (np.clip(_dithered(sound), -1, 1) * 32767).astype("<i2").tobytes()
-        count = len(sound) // _FRAME_SAMPLES + 2
-        text, command = self._search("commands", pcm)
-        spoken = [part for part in command if part[0] not in _FILLERS]
-        if not spoken:
+        scores, loop = self._hear(sound)
+        found = self._candidates(scores)
+        if not found:
             return "", (0.0,) * len(FEATURES)
-        _, free = self._search("phones", pcm)
-        ratio = np.append(0.0, np.cumsum(_per_frame(command, count) - _per_frame(free, count)))
-        voiced = [part for part in free if part[0] not in _FILLERS] or spoken
-        first = min(spoken[0][1], voiced[0][1])
-        last = max(spoken[-1][2], voiced[-1][2]) + 1
-        mean = [
-            1000.0 * float(ratio[end] - ratio[start]) / (end - start)
-            for start, end in ((first, last), *((s, e + 1) for _, s, e, _ in spoken))
+        best = found[0]
+        other = next((one.score for one in found if one.meaning != best.meaning), -math.inf)
+        free = loop.hubs[:, 0]
+        voiced = [part for part in loop.path(len(scores), 0) if part.label] or [best.phrase]
+        first = min(best.parts[0].first, voiced[0].first)
+        last = max(best.parts[-1].end, voiced[-1].end)
+        features = (
+            (best.score - float(free[-1])) / (last - first),
+            self._worst_part(best, scores, free),
+            min(best.score - other, _MOST_MARGIN),
+            math.log(last - first),
+            float(len(best.chain.columns) // 3),
+            float(len(best.parts) - 1),
+        )
+        return " ".join(part.label for part in best.parts), features
+
+    def _hear(self, sound: F32) -> tuple[F32, Search]:
+        """Return (t, columns) scaled log-likelihoods, and the loop's search of them.
+
+        The model of synthetic voices only counts where the sound, whatever it says, is likelier
+        under it by far: people are as likely under both.
+        """
+        features = streams(cepstra(without_noise(mel_spectrum(sound))))
+        heard = []
+        for model in self._models:
+            likelihoods = model.log_likelihoods(features)
+            scores = self._networks.columns.select(likelihoods) * _SCALE
+            heard.append((scores, search(self._networks.loop, scores)))
+        people, synthetic = (float(found.hubs[-1, 0]) for _, found in heard)
+        return heard[int(synthetic - people > _LIKELIER * len(features))]
+
+    def _candidates(self, scores: F32) -> list[Candidate]:
+        """Return the closest, the best first."""
+        front = search(self._networks.front, scores)
+        back = search(self._networks.back, scores[::-1])
+        rest = back.hubs[::-1, AFTER]  # rest[t]: frames from t to the end, after the phrase
+        total = front.ends + rest[1:, None]
+        ends = total.argmax(axis=0)
+        value = total[ends, np.arange(total.shape[1])]
+        chains = front.network.chains
+        order = [int(k) for k in np.argsort(-value) if chains[k].leads_to == PHRASE]
+        texts: dict[str, int] = {}
+        for number in order:
+            if len(texts) < _CLOSEST and value[number] > -1e8:
+                texts.setdefault(chains[number].label, number)
+        return [
+            self._candidate(front, back, number, int(ends[number]), float(value[number]))
+            for number in texts.values()
         ]
-        return text, (mean[0], min(mean[1:]), math.log(last - first))
 
-    def _search(self, name: str, pcm: bytes) -> tuple[str, list[tuple[str, int, int, float]]]:
-        """Return the text and (word, first frame, last frame, log score) of each part."""
-        decoder = self._decoder
-        decoder.activate_search(name)
-        decoder.start_utt()
-        decoder.process_raw(pcm, no_search=False, full_utt=True)
-        decoder.end_utt()
-        best = decoder.hyp()
-        if best is None:
-            return "", []
-        parts = [
-            (part.word, part.start_frame, part.end_frame, math.log(max(part.ascore, 1e-30)))
-            for part in decoder.seg()
-            if part.end_frame >= part.start_frame and part.word != "(NULL)"
+    def _candidate(
+        self, front: Search, back: Search, number: int, end: int, score: float
+    ) -> Candidate:
+        chain = front.network.chains[number]
+        begin = int(front.begins[end, number])
+        count = len(front.ends)
+        before = front.path(begin, chain.entry)
+        after = [
+            Part(part.label, count - part.end, count - part.first)
+            for part in back.path(count - 1 - end, AFTER)[::-1]
         ]
-        return best.hypstr or "", parts
+        phrase = Part(chain.label, begin, end + 1)
+        parts = tuple(part for part in (*before, phrase, *after) if part.label)
+        negated = any(part.label in NEGATION for part in parts)
+        meaning = "not" if negated else self._networks.meanings[chain.label]
+        return Candidate(chain, score, parts, phrase, meaning)
 
-    def _add(self, word: str) -> None:
-        lookup: Any = self._decoder.lookup_word
-        if lookup(word) is None:
-            self._decoder.add_word(word, pronounce(word, lookup), False)
-        forms, number = [lookup(word)], 2
-        while (form := lookup(f"{word}({number})")) is not None:
-            forms.append(form)
-            number += 1
-        for other in sorted({new for known in forms for new in british(known)} - set(forms)):
-            self._decoder.add_word(f"{word}({number})", other, False)
-            number += 1
-
-
-def _dithered(sound: F32) -> F32:
-    loud = np.sort(sound.astype(np.float64) ** 2)[-max(len(sound) // 3, 1) :]
-    level = max(math.sqrt(float(np.mean(loud))) * 10 ** (_DITHER_DB / 20), 1e-4)
-    noise = np.random.default_rng(1).standard_normal(len(sound))  # the same at every call
-    return (sound + level * noise).astype(np.float32)
-
-
-def _per_frame(parts: list[tuple[str, int, int, float]], count: int) -> np.ndarray[Any, Any]:
-    found = np.zeros(count)
-    for _, start, end, score in parts:
-        found[start : end + 1] += score / (end + 1 - start)
-    return found
+    def _worst_part(self, best: Candidate, scores: F32, free: F32) -> float:
+        """Return the least log-likelihood ratio per frame over two phones of the phrase."""
+        first, end = best.phrase.first, best.phrase.end
+        columns = list(best.chain.columns)
+        said = scores[first:end, columns]
+        phones = np.array(best.chain.phones)
+        kind = np.arange(len(phones)) % 3
+        states = best_states(said, self._model.stay[phones, kind], self._model.leave[phones, kind])
+        ratio = said[np.arange(len(said)), states] - np.diff(free[first : end + 1])
+        number = states // 3
+        total = np.bincount(number, ratio)
+        frames = np.bincount(number)
+        size = min(_WORST_PHONES, len(total))
+        window = np.ones(size)
+        mean = np.convolve(total, window, "valid") / np.convolve(frames, window, "valid")
+        return float(mean.min())

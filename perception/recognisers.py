@@ -20,6 +20,9 @@ MAX_S = 30.0
 
 MIN_S = 0.1
 
+Phrases = Iterable[str] | Mapping[str, str]
+"""Phrases, or phrases and what they ask for."""
+
 
 @dataclass(frozen=True, slots=True)
 class Recognition:
@@ -94,14 +97,15 @@ def nothing(backend: str, compute_us: int = 0, failure: str = "") -> Recognition
 
 def make_recogniser(
     config: RecogniserConfig,
-    phrases: Iterable[str],
+    phrases: Phrases,
     environment: Mapping[str, str] = MappingProxyType({}),
 ) -> Recogniser:
     """Return the configured backend; only that one's libraries are imported.
 
     Args:
         config: Which, and what it needs.
-        phrases: What the skills are called by; the embedded recogniser hears nothing else.
+        phrases: What the skills are called by; the embedded recogniser hears nothing else. With
+            what each asks for, phrases of one meaning do not compete; "" is a question.
         environment: Where the key is looked up.
 
     Raises:
@@ -114,15 +118,13 @@ def make_recogniser(
     return BACKENDS[config.backend](config, phrases, environment)
 
 
-def _pocketsphinx(
-    config: RecogniserConfig, phrases: Iterable[str], env: Mapping[str, str]
-) -> Recogniser:
+def _pocketsphinx(config: RecogniserConfig, phrases: Phrases, env: Mapping[str, str]) -> Recogniser:
     from downbeat.perception.recogniser_pocketsphinx import PocketsphinxRecogniser
 
     return PocketsphinxRecogniser(phrases)
 
 
-def _openai(config: RecogniserConfig, phrases: Iterable[str], env: Mapping[str, str]) -> Recogniser:
+def _openai(config: RecogniserConfig, phrases: Phrases, env: Mapping[str, str]) -> Recogniser:
     from downbeat.perception.recogniser_openai import DEFAULT_MODEL, OpenAIRecogniser
 
     key = env.get(config.key_variable, "")
@@ -130,15 +132,13 @@ def _openai(config: RecogniserConfig, phrases: Iterable[str], env: Mapping[str, 
     return OpenAIRecogniser(config.url, model, key, config.key_variable, config.timeout_s)
 
 
-def _whisper(
-    config: RecogniserConfig, phrases: Iterable[str], env: Mapping[str, str]
-) -> Recogniser:
+def _whisper(config: RecogniserConfig, phrases: Phrases, env: Mapping[str, str]) -> Recogniser:
     from downbeat.perception.recogniser_whisper import WhisperRecogniser
 
     return WhisperRecogniser(config.model)
 
 
-BACKENDS: dict[str, Callable[[RecogniserConfig, Iterable[str], Mapping[str, str]], Recogniser]] = {
+BACKENDS: dict[str, Callable[[RecogniserConfig, Phrases, Mapping[str, str]], Recogniser]] = {
     "pocketsphinx": _pocketsphinx,
     "openai": _openai,
     "whisper": _whisper,

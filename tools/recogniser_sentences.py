@@ -2,7 +2,31 @@
 
 from __future__ import annotations
 
-CALIBRATION_VOICES = ("en-us", "en-gb", "en-us+f2", "en-gb-scotland", "en-us+f5", "en-us+m1")
+ADAPTATION_VOICES = (
+    "en-us",
+    "en-gb",
+    "en-us+f2",
+    "en-gb-scotland",
+    "en-us+m3",
+    "en-gb+f1",
+    "en-us-nyc",
+    "en-us+m5",
+    "en-gb+m2",
+    "en-us+linda",
+    "en-us+Alex",
+    "en-gb+m4",
+    "en-us+m8",
+)
+CALIBRATION_VOICES = (
+    "en-029",
+    "en-us+f5",
+    "en-gb+steph",
+    "en-gb-x-gbcwmd",
+    "en-us+m1",
+    "en-gb+m6",
+    "en-us+belinda",
+)
+"""What decides is calibrated with voices that the acoustic model was not adapted to."""
 TEST_VOICES = ("en-us+m7", "en-gb-x-rp", "en-us+f4", "en-gb+f3", "en-gb-x-gbclan", "en-us+Andy")
 WORDS_PER_MINUTE = (140, 165, 185)
 
@@ -80,6 +104,36 @@ CALIBRATION_SENTENCES = (
     "the salsa on these chips is really hot",
     "all the shops are closed on sunday",
     "she is waiting in front of the theatre",
+    "come in and sit down",
+    "hold this for me",
+    "let me see",
+    "who is that man",
+    "not so loud",
+    "turn the music down a little",
+    "give it to me",
+    "i will be right back",
+    "can i have some water",
+    "look over here everyone",
+    "that was close",
+    "what a day",
+    "it smells like fresh bread",
+    "you are welcome",
+    "close the door",
+    "how much does it cost",
+    "that is enough for today",
+    "do we have any sugar left",
+    "wait for me outside",
+    "open the second drawer",
+    "what happened to your hand",
+    "he runs faster than his brother",
+    "give me five minutes",
+    "the dance class starts at six",
+    "it is too late now",
+    "she said hello to the driver",
+    "there are ten of them",
+    "put it back where it was",
+    "is it your birthday",
+    "the band played until midnight",
 )
 
 TEST_SENTENCES = (

@@ -28,7 +28,13 @@ OUTPUTS = "file, card, none or robot:INTERFACE"
 EARLY_S = 0.09
 """Pause after which the embedded recogniser begins: three frames of voice activity."""
 RESUME_PHRASES = ("keep dancing", "continue", "dance again", "dance to the music")
-TEMPO_PHRASES = ("faster", "slower", "do it again", "once more")
+TEMPO_PHRASES = {
+    "faster": "faster",
+    "slower": "slower",
+    "do it again": "again",
+    "once more": "again",
+}
+"""Phrase -> what it asks for."""
 
 
 def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears:
@@ -42,10 +48,7 @@ def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears
         for name, one in skills.items()
         if not config.skills or name in config.skills or name == "stand"
     }
-    said = [
-        text for name, one in allowed.items() if name not in NOT_BY_VOICE for text in one.phrases
-    ]
-    said += [*QUESTIONS, *RESUME_PHRASES, *TEMPO_PHRASES]
+    said = sayable(allowed)
     return Ears(
         Segmenter(Vad(), segments_of(config)),
         make_recogniser(config.recogniser, said, os.environ),
@@ -53,6 +56,19 @@ def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears
         make_conversation(config.chat, os.environ),
         make_voice(config.voice, os.environ),
     )
+
+
+def sayable(skills: Mapping[str, SkillManifest]) -> dict[str, str]:
+    """Return what the embedded recogniser listens for: phrase -> what it asks for."""
+    found = {
+        text: name
+        for name, one in skills.items()
+        if name not in NOT_BY_VOICE
+        for text in one.phrases
+    }
+    found |= dict.fromkeys(QUESTIONS, "")  # answered, nothing more
+    found |= dict.fromkeys(RESUME_PHRASES, "resume")
+    return found | TEMPO_PHRASES
 
 
 def segments_of(config: SpeechConfig) -> SegmentConfig:
