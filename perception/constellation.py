@@ -95,7 +95,7 @@ class ConstellationMatcher:
         Raises:
             PerceptionError: The rate is too low, or the index is empty.
         """
-        starts = self._votes(samples, sample_rate_hz)
+        starts, _ = self._votes(samples, sample_rate_hz)
         if not len(starts):
             return MatchResult()
         columns, votes = _histogram(starts)
@@ -132,26 +132,28 @@ class ConstellationMatcher:
         """
         if track not in self.names:
             return 0.0, 0.0
-        starts = self._votes(samples, sample_rate_hz)
+        starts, asked = self._votes(samples, sample_rate_hz)
         begin = self._begins[self.names.index(track)]
         away = starts - (begin + PAD_FRAMES + tau_s / FINE_S)
         near = away[np.abs(away) <= AGREEMENT_FRAMES]
         if not len(near):
             return 0.0, 0.0
-        return min(1.0, len(near) / self._asked), float(np.median(near)) * FINE_S
+        return min(1.0, len(near) / asked), float(np.median(near)) * FINE_S
 
-    def _votes(self, samples: F32, sample_rate_hz: int) -> I64:
-        """Return a start for each landmark in common, in frames counted through all tracks."""
+    def _votes(self, samples: F32, sample_rate_hz: int) -> tuple[I64, int]:
+        """Return a start for each landmark in common, and the number of landmarks.
+
+        Starts are frames counted through all tracks.
+        """
         _check_rate(sample_rate_hz)
         if not self._is_ready:
             self.finish()
-        self._asked = 1
         peak = float(np.abs(samples).max()) if len(samples) else 0.0
         if not SILENT_PEAK <= peak < np.inf:  # NaN fails too
-            return np.zeros(0, np.int64)
+            return np.zeros(0, np.int64), 1
         landmarks = query_landmarks(ft.to_matcher_rate(samples, sample_rate_hz), QUANTUM)
-        self._asked = max(1, len(landmarks) // 3)
-        return self._postings.look_up(landmarks, LOOKED_UP)
+        # Each landmark is looked up at three pitches.
+        return self._postings.look_up(landmarks, LOOKED_UP), max(1, len(landmarks) // 3)
 
 
 def _histogram(starts: I64) -> tuple[I64, I64]:
