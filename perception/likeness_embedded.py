@@ -44,7 +44,7 @@ class EmbeddedDescriptor:
         self._mean, self._deviation, self._map, self.digest = _load(weights)
 
     def embed(self, samples: F32, sample_rate_hz: int) -> F32:
-        """Return the unit vector of a window of sound, (48,); 6 ms of one core for 5 s.
+        """Return the unit vector of a window of sound, (64,); 5 ms of one core for 5 s.
 
         Args:
             samples: (n,) mono, not silent, at least three seconds.
