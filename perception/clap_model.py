@@ -60,7 +60,7 @@ class ClapModel:
         self._folder = folder
 
     def embed(self, samples: F32, sample_rate_hz: int) -> F32:
-        """Return the unit vector of a window of sound, (dim,); 90 ms of one core, 190 of HTSAT-base."""
+        """Return the unit vector of a window of sound, (dim,); 90 ms of a core, HTSAT-base 190."""
         picture = clap_picture(samples, sample_rate_hz, self.front)[None, None]
         vectors: F32 = self._audio.run(None, {"picture": picture})[0]
         return vectors[0]

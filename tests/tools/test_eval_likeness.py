@@ -12,7 +12,8 @@ import soundfile
 from downbeat.perception.likeness import unit
 from downbeat.perception.likeness_store import LikenessTable
 from downbeat.tools.errors import ToolError
-from downbeat.tools.eval_likeness import Heard, LikenessOptions, eval_likeness, read_groups, score
+from downbeat.tools.eval_likeness import LikenessOptions, eval_likeness, read_groups
+from downbeat.tools.likeness_score import Heard, score
 from downbeat.tools.train_likeness import main as train
 
 RATE = 16_000
