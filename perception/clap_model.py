@@ -29,7 +29,7 @@ WINDOW_S = 5.0
 """Heard at once: the same as of the default; the model repeats it to its ten seconds."""
 
 
-class ClapModel:
+class ClapEmbedder:
     """Both towers. `Embedder` of likeness.py, by the name "clap"."""
 
     name = "clap"
@@ -103,7 +103,7 @@ def read_header(folder: Path) -> dict[str, Any]:
     """Return clap.json of a folder whose files are whole.
 
     Raises:
-        PerceptionError: See `ClapModel`.
+        PerceptionError: See `ClapEmbedder`.
     """
     remedy = "`downbeat models export clap SOURCE --out FOLDER` makes one"
     path = folder / HEADER_NAME

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from downbeat.perception.clap_model import ClapModel
+from downbeat.perception.clap_model import ClapEmbedder
 from downbeat.perception.features import F32
 from downbeat.perception.likeness import Embedder, is_sounding, unit
 from downbeat.perception.likeness_build import embed_recording
@@ -54,7 +54,7 @@ def eval_likeness(options: LikenessOptions, as_json: bool) -> int:
     """`downbeat eval likeness`."""
     groups = read_groups(options.groups)
     recordings = _recordings(options.tracks, groups)
-    embedder: Embedder = ClapModel(options.clap) if options.clap else EmbeddedDescriptor()
+    embedder: Embedder = ClapEmbedder(options.clap) if options.clap else EmbeddedDescriptor()
     heard = hear(recordings, groups, embedder, options)
     report = {
         "backend": embedder.name, "condition": options.condition, "seconds": options.seconds,

@@ -209,7 +209,7 @@ def build_index(recordings: Mapping[str, Recording], path: Path) -> None:
         index.save(cached)
     shutil.copy(cached, path)
     # Made by another embedder, the table is made anew; else it is there already.
-    likeness = cached.with_suffix(f".{EmbeddedDescriptor().digest[:12]}.npz")
+    likeness = cached.with_suffix(f".{EmbeddedDescriptor().digest}.npz")
     if not likeness.is_file():
         build_likeness(recordings, likeness)
     shutil.copy(likeness, path.with_name(LIKENESS_NAME))

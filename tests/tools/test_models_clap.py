@@ -10,7 +10,7 @@ import pytest
 import random_clap as rc
 
 from downbeat.perception.clap_features import FrontEnd, clap_picture, slaney_weights
-from downbeat.perception.clap_model import ClapModel
+from downbeat.perception.clap_model import ClapEmbedder
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.likeness import CatalogLikeness
 from downbeat.perception.likeness_build import build_likeness
@@ -56,10 +56,10 @@ def test_short_sound_is_repeated_whole_and_long_sound_is_cut_to_the_newest():
 )
 def test_foreign_folder_is_refused_with_the_command_that_makes_one(tmp_path, content):
     with pytest.raises(PerceptionError, match="models export clap"):
-        ClapModel(tmp_path)
+        ClapEmbedder(tmp_path)
     (tmp_path / "clap.json").write_text(content)
     with pytest.raises(PerceptionError, match="models export clap"):
-        ClapModel(tmp_path)
+        ClapEmbedder(tmp_path)
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_clap_model_of_transformers_is_exported_with_parity(tmp_path, capsys):
 
     model, extractor, tokenizer = rc.make_clap_model(tmp_path / "hf")
     assert export_clap_command(str(tmp_path / "hf"), tmp_path / "clap", "") == 0
-    exported = ClapModel(tmp_path / "clap")
+    exported = ClapEmbedder(tmp_path / "clap")
 
     def wanted(sound: np.ndarray) -> np.ndarray:
         seen = extractor(sound, sampling_rate=48_000, return_tensors="pt")
@@ -101,7 +101,7 @@ def test_laion_clap_checkpoint_is_exported_with_parity(tmp_path, capsys, archite
     tokenizer = rc.make_tokenizer(tmp_path / "words")
     arguments = (str(tmp_path / "laion.pt"), tmp_path / "clap", str(tmp_path / "words"))
     assert export_clap_command(*arguments) == 0
-    exported = ClapModel(tmp_path / "clap")
+    exported = ClapEmbedder(tmp_path / "clap")
 
     def wanted(sound: np.ndarray) -> np.ndarray:
         # laion-clap's own spectrogram; rounding to 16 bit and repeating happen in its data code.
@@ -142,7 +142,7 @@ def test_what_is_no_checkpoint_is_refused_in_a_sentence(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def check_sound(exported: ClapModel, wanted) -> None:
+def check_sound(exported: ClapEmbedder, wanted) -> None:
     vectors = []
     for seed, seconds in ((0, 5.0), (1, 10.0), (2, 7.3)):
         sound = rc.some_sound(seed, seconds, 48_000)
@@ -152,13 +152,13 @@ def check_sound(exported: ClapModel, wanted) -> None:
     assert np.abs(vectors[0] - vectors[1]).max() > 100 * TOLERANCE  # random weights do listen
 
 
-def check_words(exported: ClapModel, wanted: np.ndarray) -> None:
+def check_words(exported: ClapEmbedder, wanted: np.ndarray) -> None:
     found = exported.embed_texts(rc.WORDS)
     assert np.abs(found - wanted).max() <= TOLERANCE
     assert np.abs(found[0] - found[1]).max() > 100 * TOLERANCE
 
 
-def check_catalogue(exported: ClapModel, folder) -> None:
+def check_catalogue(exported: ClapEmbedder, folder) -> None:
     sounds = {
         f"piece{i}": Recording(f"piece{i}", rc.some_sound(i, 11.0, 16_000), 16_000) for i in (1, 2)
     }
@@ -180,4 +180,4 @@ def damage(folder) -> None:
     assert set(header["sha256"]) == {"audio.onnx", "text.onnx", "tokenizer.json"}
     (folder / "tokenizer.json").write_text("{}")
     with pytest.raises(PerceptionError, match=r"tokenizer\.json is damaged"):
-        ClapModel(folder)
+        ClapEmbedder(folder)
