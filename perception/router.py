@@ -31,6 +31,8 @@ class RouterConfig:
             tenth of five seconds.
         epsilon_sp: Speech leads if p_speech - p_music is at least this.
         p_speech_min: Speech that is less sure is none, even if it leads.
+        p_speech_sure: Speech that is this sure, and leads by half, needs no voice: of somebody far
+            away in a room the detector hears few frames.
         p_music_min: Music that is less sure is none.
         evidence_min: A locked track that is this similar to what sounds is still there: the right
             place correlates by 0.3 to 0.95, a wrong one by about 0.1.
@@ -41,6 +43,7 @@ class RouterConfig:
     v_frac_min: float = 0.1
     epsilon_sp: float = 0.1
     p_speech_min: float = 0.4
+    p_speech_sure: float = 0.9
     p_music_min: float = 0.5
     evidence_min: float = 0.24
     silence_dbfs: float = -60.0
@@ -52,7 +55,7 @@ class RouterConfig:
         Raises:
             PerceptionError: A value is out of its range.
         """
-        for name in ("v_frac_min", "p_speech_min", "p_music_min", "evidence_min"):
+        for name in ("v_frac_min", "p_speech_min", "p_speech_sure", "p_music_min", "evidence_min"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise PerceptionError(
                     f"Router: {name} is {getattr(self, name)}; valid is above 0, at most 1."
@@ -127,8 +130,10 @@ def route(
     """
     if evidence >= config.evidence_min:
         return MUSIC
-    leads = p_speech - p_music >= config.epsilon_sp and p_speech >= config.p_speech_min
-    if leads and not v_frac < config.v_frac_min:
+    margin = p_speech - p_music
+    leads = margin >= config.epsilon_sp and p_speech >= config.p_speech_min
+    is_sure = margin >= 0.5 and p_speech >= config.p_speech_sure
+    if leads and (is_sure or not v_frac < config.v_frac_min):
         return SPEECH
     return MUSIC if p_music >= config.p_music_min and math.isfinite(p_speech) else SKIP
 

@@ -98,7 +98,8 @@ def test_where_the_papers_rule_decides_ours_agrees(p_music, p_speech, v_frac):
         (0.1, 0.9, 0.8, SPEECH, SPEECH),
         (0.9, 0.2, 0.5, SKIP, MUSIC),  # a song
         (0.8, 0.8, 0.8, SKIP, MUSIC),  # somebody talks over music as loud
-        (0.1, 0.9, 0.05, SKIP, SKIP),  # like speech, but nobody's voice
+        (0.1, 0.8, 0.05, SKIP, SKIP),  # like speech, but nobody's voice
+        (0.1, 0.95, 0.05, SKIP, SPEECH),  # somebody far away in a room
         (0.1, 0.3, 0.9, SPEECH, SKIP),  # a voice, but hardly speech
         (0.1, 0.9, math.nan, SKIP, SPEECH),  # no voice activity detector
         (math.nan, math.nan, 0.9, SKIP, SKIP),
