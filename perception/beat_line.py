@@ -23,8 +23,8 @@ more, one over the number of looks."""
 PRIOR_PHASE_S, PRIOR_PERIOD = 0.035, 0.006
 PRIOR_WEIGHT = 0.25
 """Weak onsets do not move the line: a place this far off must be so many mean frames stronger."""
-FIRST_STD_S = 0.03
-STD_MEMORY = 0.9
+FIRST_STD_S = 0.014
+STD_MEMORY = 0.85
 LEAST_STD_S = 0.003
 
 
@@ -106,8 +106,8 @@ class LineFitter:
         score -= PRIOR_WEIGHT * (shifts / PRIOR_PHASE_S) ** 2
         score -= PRIOR_WEIGHT * (PERIOD_SHARES[:, None] / PRIOR_PERIOD) ** 2
         row, column = np.unravel_index(int(score.argmax()), score.shape)
-        period_s = line.period_s * (1.0 + _peak(score[:, column], row, PERIOD_SHARES))
-        shift_s = _peak(score[row], column, shifts)
+        period_s = line.period_s * (1.0 + _peak(score[:, column], int(row), PERIOD_SHARES))
+        shift_s = _peak(score[row], int(column), shifts)
         return BeatLine(last_s + shift_s + middle * (period_s - line.period_s), period_s)
 
 

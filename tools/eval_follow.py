@@ -103,7 +103,8 @@ def follow(sound: F32, start_s: float = 0.0) -> Followed:
     if not rows:
         rows = [(start_s, np.nan, np.nan, 0.0, False)]
     columns = np.array(rows, np.float64).T
-    return Followed(*columns[:4], columns[4] > 0.0, cpu_s)
+    time_s, beat_s, period_s, confidence, steady = columns
+    return Followed(time_s, beat_s, period_s, confidence, steady > 0.0, cpu_s)
 
 
 def beat_errors(followed: Followed, reference: Reference) -> tuple[F64, F64, np.ndarray]:
@@ -244,7 +245,8 @@ def run_eval_follow(tracks: Path | None, speech: Path | None, start_s: float, as
         raise ToolError(f"--start-s {start_s:g} must be at least 0 seconds.")
     hears = robot_hears(speech) if speech is not None else None
     rng = np.random.default_rng(SEED)
-    steady, free = {}, {}
+    steady: dict[str, dict[str, Any]] = {}
+    free: dict[str, dict[str, Any]] = {}
     for recording, reference in sounds(tracks):
         sound = soxr.resample(recording.samples, recording.sample_rate_hz, SAMPLE_RATE_HZ)
         sound = np.asarray(sound, np.float32)

@@ -75,7 +75,7 @@ def stretch_frames(frames: F64, factor: float) -> F64:
     places = np.arange(int(len(frames) * factor)) / factor
     low = np.minimum(places.astype(int), len(frames) - 2)
     share = (places - low)[:, None]
-    return frames[low] * (1.0 - share) + frames[low + 1] * share
+    return np.asarray(frames[low] * (1.0 - share) + frames[low + 1] * share)
 
 
 def right_choices(reference: Reference, now_s: float) -> np.ndarray:

@@ -300,7 +300,8 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Eval:
-    """Evaluate: `mashup` (M20, M30 of the paper), `chunks` (single windows), `beat`, `follow` (unknown music), `speech`."""
+    """Evaluate: `mashup` (M20, M30 of the paper), `chunks` (single windows), `beat`, `speech`, and
+    `follow`: the beat of unknown music."""
 
     what: (
         Annotated[Mashup, tyro.conf.subcommand("mashup")]
