@@ -55,7 +55,8 @@ def _band_edges() -> npt.NDArray[np.int64]:
 _EDGES = _band_edges()
 _CENTRE_HZ = 0.5 * (_EDGES[:-1] + _EDGES[1:]) * SAMPLE_RATE_HZ / WINDOW
 _GROUP = np.searchsorted(GROUP_EDGES_HZ, _CENTRE_HZ)
-GROUP_WEIGHTS = np.stack([(_GROUP == g) / np.sum(_GROUP == g) for g in range(NUM_GROUPS)], axis=1)
+_MEMBERS = np.equal.outer(_GROUP, np.arange(NUM_GROUPS))
+GROUP_WEIGHTS = _MEMBERS / _MEMBERS.sum(axis=0)
 """(bands, groups): the mean over a group's bands."""
 _HANN = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
 _KEEP = WINDOW - HOP

@@ -300,8 +300,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Eval:
-    """Evaluate: `mashup` (M20, M30 of the paper), `chunks` (single windows), `beat`, `speech`, and
-    `follow`: the beat of unknown music."""
+    """Evaluate: `mashup` (M20, M30), `chunks`, `beat`, `follow` (unknown music), `speech`."""
 
     what: (
         Annotated[Mashup, tyro.conf.subcommand("mashup")]
