@@ -98,13 +98,14 @@ class AcousticModel:
             ) from error
         return replace(self, means=means)
 
-    def all_senones(self, base: int) -> tuple[set[int], ...]:
-        """Return the senones of each state of a phone, whatever it stands between."""
-        found = tuple({base * STATES + k} for k in range(STATES))
-        for (phone, *_), states in self.triphones.items():
-            if phone == base:
-                for k, senone in enumerate(states):
-                    found[k].add(senone)
+    def all_senones(self) -> list[tuple[set[int], ...]]:
+        """Return, of every phone, the senones of each state, whatever it stands between."""
+        found = [
+            tuple({base * STATES + k} for k in range(STATES)) for base in range(len(self.phones))
+        ]
+        for (base, *_), states in self.triphones.items():
+            for known, senone in zip(found[base], states, strict=True):
+                known.add(senone)
         return found
 
     def log_likelihoods(self, features: F32) -> F32:

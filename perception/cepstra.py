@@ -19,11 +19,28 @@ _FILTERS, _CEPSTRA, _LIFTER = 25, 13, 22
 _LOW_HZ, _HIGH_HZ = 130.0, 6800.0
 _FULL_SCALE = 32768.0
 _FLOOR = 1e-4
+_DITHER = 10 ** (-40 / 20)
+"""Of the loud third of the sound."""
+_LEAST_DITHER = 1e-5
 _QUIET, _QUIET_FRAMES = 0.2, 8
 _CARRY = 0.9
 _LEAST_GAIN = 10 ** (-12 / 20)
 _UNDER = 10 ** (-30 / 10)
 """Of the mean energy: the floor."""
+
+
+def dithered(sound: F32) -> F32:
+    """Return the sound with a little white noise, the same at every call.
+
+    Digital silence and very clean sound are unlike everything that the model was trained on.
+
+    Args:
+        sound: (n,) full scale 1.
+    """
+    loud = np.sort(sound.astype(np.float64) ** 2)[-max(len(sound) // 3, 1) :]
+    level = max(math.sqrt(float(loud.mean())) * _DITHER, _LEAST_DITHER)
+    noise = np.random.default_rng(1).standard_normal(len(sound))
+    return (sound + level * noise).astype(np.float32)
 
 
 def mel_spectrum(sound: F32, warp: float = 1.0) -> F32:
@@ -47,7 +64,7 @@ def without_noise(mel: F32) -> F32:
 
     A Wiener filter per band; the noise is what the quietest fifth of the frames has, and what is
     speech is carried on from frame to frame (decision-directed), or the gain would flicker. A floor
-    far below the speech stays: digital silence is unlike everything that the model was trained on.
+    far below the speech stays.
 
     Args:
         mel: (t, 25) energies of one utterance with a little of what is around it.

@@ -63,10 +63,9 @@ class Columns:
             columns += [self.column(states[k] for states in fit) for k in range(STATES)]
         return columns, [phone for phone, _ in flat for _ in range(STATES)]
 
-    def any_context(self, phone: int) -> list[int]:
-        """Return the columns of a phone between whatever others."""
-        fit = self.model.all_senones(phone)
-        return [self.column(fit[k]) for k in range(STATES)]
+    def any_context(self) -> list[list[int]]:
+        """Return, of every phone, the columns of its states between whatever others."""
+        return [[self.column(senones) for senones in phone] for phone in self.model.all_senones()]
 
 
 def place(at: int, length: int) -> str:

@@ -163,9 +163,9 @@ class _Builder:
 
     def phones(self, weight: float) -> list[Chain]:
         return [
-            Chain(self._columns.any_context(number), [number] * STATES, 0, 0, weight, name)
-            for number, name in enumerate(self._model.phones)
-            if name not in _FILLERS
+            Chain(columns, [number] * STATES, 0, 0, weight, self._model.phones[number])
+            for number, columns in enumerate(self._columns.any_context())
+            if self._model.phones[number] not in _FILLERS
         ]
 
     def edges(self, before: list[str], after: list[str]) -> tuple[list[int], list[int]]:

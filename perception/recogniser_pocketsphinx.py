@@ -14,13 +14,13 @@ import json
 import math
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from downbeat.perception.acoustic_model import load_acoustic_model, packaged_folder
-from downbeat.perception.cepstra import cepstra, mel_spectrum, streams, without_noise
+from downbeat.perception.cepstra import cepstra, dithered, mel_spectrum, streams, without_noise
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 from downbeat.perception.phone_network import Chain, Part, Search, best_states, search
@@ -39,12 +39,14 @@ MAX_COMMAND_S = 8.0
 
 FEATURES = ("ratio", "worst_part", "margin", "log_frames", "phones", "around")
 """Of the best candidate: see `PocketsphinxRecogniser.score`."""
+VOICES = ("people", "synthetic")
+"""The acoustic model as it was made, from people, and adapted to synthetic voices."""
 
 _SCALE = np.float32(0.25)
 """Of the acoustic scores: frames are no independent witnesses."""
 _PHONE_COST = -3.0
 _MOST_MARGIN = 30.0
-_LIKELIER = 0.5
+_LIKELIER = 0.25
 """Per frame: people gain -0.2 to 0.1 by the adaptation, voices like those it heard 1 to 3."""
 _CLOSEST = 12
 """Candidates whose meaning is looked at."""
@@ -52,25 +54,36 @@ _WORST_PHONES = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class Decision:
     """What decides that an answer was really said.
 
     Attributes:
         weights: One per feature, in their order.
         offset: Added; the logistic function of the sum is the confidence.
         threshold: Confidence below which nothing was recognised.
-        info: How it was made, for the reader.
     """
 
     weights: tuple[float, ...]
     offset: float
     threshold: float
-    info: str = ""
 
     def confidence(self, features: tuple[float, ...]) -> float:
         """Return 0..1."""
         total = self.offset + sum(w * x for w, x in zip(self.weights, features, strict=True))
         return 1.0 / (1.0 + math.exp(-max(min(total, 50.0), -50.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The frozen decisions: the two acoustic models have scores of different scales.
+
+    Attributes:
+        by_voice: One per `VOICES`.
+        info: How it was made, for the reader.
+    """
+
+    by_voice: Mapping[str, Decision]
+    info: str = ""
 
 
 def load_calibration(path: Path | None = None) -> Calibration:
@@ -82,15 +95,35 @@ def load_calibration(path: Path | None = None) -> Calibration:
     file = path or CALIBRATION_FILE
     try:
         table = json.loads(file.read_text(encoding="utf-8"))
-        weights = tuple(float(table["weights"][name]) for name in FEATURES)
-        return Calibration(
-            weights, float(table["offset"]), float(table["threshold"]), str(table["info"])
-        )
+        found = {
+            voice: Decision(
+                tuple(float(table[voice]["weights"][name]) for name in FEATURES),
+                float(table[voice]["offset"]),
+                float(table[voice]["threshold"]),
+            )
+            for voice in VOICES
+        }
+        return Calibration(found, str(table["info"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise PerceptionError(
             f"{file} is no calibration of the embedded recogniser ({error!r}); "
             "`python -m downbeat.tools.calibrate_recogniser --write` makes one."
         ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Hearing:
+    """The best candidate, before anything is refused.
+
+    Attributes:
+        text: Its words; "" where no phrase fits into the sound.
+        features: What speaks for it, the values of `FEATURES`.
+        voice: Under which acoustic model, one of `VOICES`.
+    """
+
+    text: str
+    features: tuple[float, ...]
+    voice: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +170,12 @@ class PocketsphinxRecogniser:
         if not isinstance(phrases, Mapping):
             phrases = {text: text for text in phrases}
         folder = packaged_folder()
-        self._model = load_acoustic_model(folder / "en-us")
-        self._models = (self._model, self._model.adapted())
-        dictionary = Dictionary(folder / "cmudict-en-us.dict", self._model)
-        self._networks = command_networks(phrases, self._model, dictionary, _PHONE_COST)
+        model = load_acoustic_model(folder / "en-us")
+        dictionary = Dictionary(folder / "cmudict-en-us.dict", model)
+        self._networks = command_networks(phrases, model, dictionary, _PHONE_COST)
+        self._model = replace(model, triphones={})  # of no more use, and large
+        self._networks.columns.model = self._model
+        self._models = dict(zip(VOICES, (self._model, self._model.adapted()), strict=True))
 
     def recognise(self, samples: F32, language: str = "en") -> Recognition:
         """Recognise one utterance; see `Recogniser`."""
@@ -149,29 +184,29 @@ class PocketsphinxRecogniser:
         english = language.lower().split("-")[0] in ("", "en")
         if not english or not len(sound) or len(sound) > MAX_COMMAND_S * SAMPLE_RATE_HZ:
             return nothing(self.name, (time.perf_counter_ns() - begin) // 1000)
-        text, features = self.score(sound)
-        confidence = self.calibration.confidence(features) if text else math.nan
+        heard = self.score(sound)
+        decision = self.calibration.by_voice[heard.voice]
+        confidence = decision.confidence(heard.features) if heard.text else math.nan
         compute_us = (time.perf_counter_ns() - begin) // 1000
-        if not text or confidence < self.calibration.threshold:
+        if not heard.text or confidence < decision.threshold:
             return Recognition("", confidence, self.name, compute_us)
-        return Recognition(text, confidence, self.name, compute_us, tuple(text.split()))
+        return Recognition(heard.text, confidence, self.name, compute_us, tuple(heard.text.split()))
 
-    def score(self, sound: F32) -> tuple[str, tuple[float, ...]]:
-        """Return the best candidate's words and what speaks for it.
+    def score(self, sound: F32, voice: str = "") -> Hearing:
+        """Return the best candidate and what speaks for it.
+
+        The features are the log-likelihood ratio to the loop of phones per frame of speech, the
+        same over the worst pair of phones, the distance to the best candidate of another meaning,
+        the logarithm of the frames of speech, the phones of the phrase, the parts around it.
 
         Args:
             sound: (n,) mono, 16 kHz, full scale 1, not digital silence.
-
-        Returns:
-            The text ("" where no phrase fits into the sound) and the values of `FEATURES`: the
-            log-likelihood ratio to the loop of phones per frame of speech, the same over the worst
-            pair of phones, the distance to the best candidate of another meaning, the logarithm
-            of the frames of speech, the phones of the phrase, the words around it.
+            voice: Whose acoustic model; "": the one that fits.
         """
-        scores, loop = self._hear(sound)
+        scores, loop, voice = self._hear(sound, voice)
         found = self._candidates(scores)
         if not found:
-            return "", (0.0,) * len(FEATURES)
+            return Hearing("", (0.0,) * len(FEATURES), voice)
         best = found[0]
         other = next((one.score for one in found if one.meaning != best.meaning), -math.inf)
         free = loop.hubs[:, 0]
@@ -186,22 +221,24 @@ class PocketsphinxRecogniser:
             float(len(best.chain.columns) // 3),
             float(len(best.parts) - 1),
         )
-        return " ".join(part.label for part in best.parts), features
+        return Hearing(" ".join(part.label for part in best.parts), features, voice)
 
-    def _hear(self, sound: F32) -> tuple[F32, Search]:
-        """Return (t, columns) scaled log-likelihoods, and the loop's search of them.
+    def _hear(self, sound: F32, voice: str) -> tuple[F32, Search, str]:
+        """Return (t, columns) scaled log-likelihoods, the loop's search of them, and whose.
 
         The model of synthetic voices only counts where the sound, whatever it says, is likelier
         under it by far: people are as likely under both.
         """
-        features = streams(cepstra(without_noise(mel_spectrum(sound))))
-        heard = []
-        for model in self._models:
-            likelihoods = model.log_likelihoods(features)
+        features = streams(cepstra(without_noise(mel_spectrum(dithered(sound)))))
+        heard = {}
+        for name in (voice,) if voice else VOICES:
+            likelihoods = self._models[name].log_likelihoods(features)
             scores = self._networks.columns.select(likelihoods) * _SCALE
-            heard.append((scores, search(self._networks.loop, scores)))
-        people, synthetic = (float(found.hubs[-1, 0]) for _, found in heard)
-        return heard[int(synthetic - people > _LIKELIER * len(features))]
+            heard[name] = scores, search(self._networks.loop, scores)
+        if not voice:
+            people, synthetic = (float(heard[name][1].hubs[-1, 0]) for name in VOICES)
+            voice = VOICES[int(synthetic - people > _LIKELIER * len(features))]
+        return *heard[voice], voice
 
     def _candidates(self, scores: F32) -> list[Candidate]:
         """Return the closest, the best first."""

@@ -23,7 +23,7 @@ from downbeat.perception.acoustic_model import (
     load_acoustic_model,
     packaged_folder,
 )
-from downbeat.perception.cepstra import cepstra, mel_spectrum, streams, without_noise
+from downbeat.perception.cepstra import cepstra, dithered, mel_spectrum, streams, without_noise
 from downbeat.perception.features import F32
 from downbeat.perception.phone_network import Chain, Columns, Network, best_states, place, search
 from downbeat.perception.recogniser_network import Dictionary
@@ -142,7 +142,7 @@ def spoken(seed: int = 5) -> Iterator[tuple[str, F32]]:
             continue
         voice = speak(item.text, item.voice, item.words_per_minute)
         sound = in_noise(voice, SNRS_DB[at % len(SNRS_DB)], rng, pink=bool(at % 2))
-        yield item.text, streams(cepstra(without_noise(mel_spectrum(sound))))
+        yield item.text, streams(cepstra(without_noise(mel_spectrum(dithered(sound)))))
 
 
 def adapted_means(

@@ -15,7 +15,7 @@ import random
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +26,9 @@ from downbeat.perception.recogniser_network import STOP
 from downbeat.perception.recogniser_pocketsphinx import (
     CALIBRATION_FILE,
     FEATURES,
+    VOICES,
     Calibration,
+    Decision,
     PocketsphinxRecogniser,
     load_calibration,
 )
@@ -50,6 +52,7 @@ class Heard:
         text: The words that were recognised; "" for none.
         meaning: What the robot would do: a skill, "stop", "again", ...; "" for nothing.
         features: What speaks for the words.
+        voice: Whose acoustic model it was, one of `VOICES`.
         compute_s: Processor time [s].
         sound_s: Length of the sound [s].
     """
@@ -58,6 +61,7 @@ class Heard:
     text: str
     meaning: str
     features: tuple[float, ...]
+    voice: str
     compute_s: float
     sound_s: float
 
@@ -94,20 +98,33 @@ def hear(
     spoken: Iterable[Item],
     snr_db: float,
     seed: int,
+    voices: Sequence[str] = ("",),
 ) -> Iterator[Heard]:
-    """Speak the items in noise, white and pink in turn, and let them be recognised."""
+    """Speak the items in noise, white and pink in turn, and let them be recognised.
+
+    Args:
+        recogniser: Without a threshold of its own.
+        understanding: Of the words.
+        spoken: The items.
+        snr_db: Level of the speech over the noise.
+        seed: Of the noise.
+        voices: Whose acoustic model, one after the other; "": the one that fits.
+    """
     rng = np.random.default_rng(seed)
     for at, item in enumerate(spoken):
-        voice = speak(item.text, item.voice, item.words_per_minute)
-        sound = in_noise(voice, snr_db, rng, pink=bool(at % 2))
-        begin = time.process_time()
-        text, features = recogniser.score(sound)
-        spent = time.process_time() - begin
-        meaning = understanding(text)
-        yield Heard(item, text, meaning, features, spent, len(sound) / RATE_HZ)
+        speech = speak(item.text, item.voice, item.words_per_minute)
+        sound = in_noise(speech, snr_db, rng, pink=bool(at % 2))
+        for voice in voices:
+            begin = time.process_time()
+            found = recogniser.score(sound, voice)
+            spent = time.process_time() - begin
+            meaning = understanding(found.text)
+            yield Heard(
+                item, found.text, meaning, found.features, found.voice, spent, len(sound) / RATE_HZ
+            )
 
 
-def fit(heard: list[Heard], info: str) -> Calibration:
+def fit(heard: list[Heard]) -> Decision:
     """Return the logistic regression of "this was said", and the threshold.
 
     Wrong answers to real commands count as not said, so they are refused like other sentences.
@@ -124,12 +141,18 @@ def fit(heard: list[Heard], info: str) -> Calibration:
         w += np.linalg.solve(curve, z.T @ (y - p) - RIDGE * w)
     weights = w[:-1] / spread
     offset = float(w[-1] - weights @ centre)
-    made = Calibration(tuple(float(v) for v in weights), offset, 0.0)
+    made = Decision(tuple(float(v) for v in weights), offset, 0.0)
     foreign = [one for one in heard if one.item.kind in ("sentence", "language")]
     scores = np.sort([made.confidence(one.features) if one.meaning else 0.0 for one in foreign])
     allowed = int(MAX_FALSE_ACCEPTS * len(scores))
     threshold = float(np.nextafter(scores[len(scores) - 1 - allowed], 2.0))
-    return Calibration(made.weights, offset, threshold, info)
+    return Decision(made.weights, offset, threshold)
+
+
+def is_taken(one: Heard, calibration: Calibration) -> bool:
+    """Return whether the recogniser answers."""
+    decision = calibration.by_voice[one.voice]
+    return bool(one.text) and decision.confidence(one.features) >= decision.threshold
 
 
 def rates(heard: list[Heard], calibration: Calibration) -> dict[str, Any]:
@@ -139,10 +162,7 @@ def rates(heard: list[Heard], calibration: Calibration) -> dict[str, Any]:
         rows = [(one, ok) for one, ok in taken if one.item.kind == kind]
         return round(sum(test(one, ok) for one, ok in rows) / len(rows), 4) if rows else math.nan
 
-    taken = [
-        (one, bool(one.text) and calibration.confidence(one.features) >= calibration.threshold)
-        for one in heard
-    ]
+    taken = [(one, is_taken(one, calibration)) for one in heard]
     return {
         "commands": sum(one.item.kind == "command" for one in heard),
         "right": share("command", lambda one, ok: ok and one.right),
@@ -162,29 +182,39 @@ def rates(heard: list[Heard], calibration: Calibration) -> dict[str, Any]:
 
 def calibrate(share: int = 1) -> tuple[Calibration, dict[str, Any]]:
     """Return a new calibration from the calibration half, and its own rates at 20 dB."""
-    blank = Calibration((0.0,) * len(FEATURES), 0.0, 0.0)
-    recogniser = PocketsphinxRecogniser(sayable(load_skills()), blank)
+    recogniser = PocketsphinxRecogniser(sayable(load_skills()), load_blank())
     understanding = Understanding()
     spoken = items("calibration", share)
     random.Random(0).shuffle(spoken)
     at = {
-        snr: list(hear(recogniser, understanding, spoken, snr, seed=1)) for snr in CALIBRATION_SNRS
+        snr: list(hear(recogniser, understanding, spoken, snr, 1, VOICES))
+        for snr in CALIBRATION_SNRS
     }
     heard = [one for rows in at.values() for one in rows]
     levels = " and ".join(f"{snr:g}" for snr in CALIBRATION_SNRS)
-    info = f"{len(heard)} utterances of espeak-ng at {levels} dB, calibration voices and sentences"
-    made = fit(heard, info)
-    return made, rates(at[20.0], made)
+    info = f"{len(spoken)} utterances of espeak-ng at {levels} dB, calibration voices and sentences"
+    made = {voice: fit([one for one in heard if one.voice == voice]) for voice in VOICES}
+    calibration = Calibration(made, info)
+    return calibration, {
+        voice: rates([one for one in at[20.0] if one.voice == voice], calibration)
+        for voice in VOICES
+    }
+
+
+def load_blank() -> Calibration:
+    """Return a calibration that refuses nothing."""
+    return Calibration(dict.fromkeys(VOICES, Decision((0.0,) * len(FEATURES), 0.0, 0.0)))
 
 
 def write(calibration: Calibration) -> None:
     """Freeze it where the recogniser looks."""
-    table = {
-        "info": calibration.info,
-        "weights": dict(zip(FEATURES, (round(w, 6) for w in calibration.weights))),
-        "offset": round(calibration.offset, 6),
-        "threshold": round(calibration.threshold, 6),
-    }
+    table: dict[str, Any] = {"info": calibration.info}
+    for voice, decision in calibration.by_voice.items():
+        table[voice] = {
+            "weights": dict(zip(FEATURES, (round(w, 6) for w in decision.weights), strict=True)),
+            "offset": round(decision.offset, 6),
+            "threshold": round(decision.threshold, 6),
+        }
     CALIBRATION_FILE.parent.mkdir(exist_ok=True)
     CALIBRATION_FILE.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
 
@@ -199,9 +229,7 @@ def evaluate(snr_db: float = 20.0, share: int = 1, details: bool = False) -> dic
         found["confused"] = [
             f"{one.item.text} ({one.item.voice}) -> {one.text}"
             for one in heard
-            if one.meaning
-            and not one.right
-            and calibration.confidence(one.features) >= calibration.threshold
+            if one.meaning and not one.right and is_taken(one, calibration)
         ]
     return found
 
@@ -224,7 +252,7 @@ def main() -> None:
     if arguments.json:
         print(json.dumps(result))
         return
-    rows = [("calibration", result["calibration"])] if "calibration" in result else []
+    rows = [(f"calibration, {name}", row) for name, row in result.get("calibration", {}).items()]
     rows += [(f"test {row['snr_db']:g} dB", row) for row in result["test"]]
     for title, row in rows:
         print(title)
