@@ -21,8 +21,8 @@ WALK_MPS, BACK_MPS, WALK_M = 0.2, 0.1, 1.0
 EXPIRES_US = 8_000_000
 HAND_OVER_US = 4_000_000
 """What follows a gesture is asked for so far ahead."""
-LEAVES_S = 0.25
-"""A gesture is left so long before the sound ends: half of the way into stand, and the check."""
+LEAVES_S = 0.13
+"""A gesture is left so long before the sound ends: half of the way into stand."""
 REMAINS_S = 3.0
 """Less of an interrupted command than this is not worth going back to."""
 TEMPO_STEP = 1.1

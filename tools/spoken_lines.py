@@ -73,9 +73,9 @@ OTHERS = (
 )
 RMS = 0.05
 LEAD_S, TAIL_S = 2.0, 8.0
-AFTER_COMMAND_S, AFTER_QUESTION_S, AFTER_OTHER_S = 7.0, 14.0, 3.5
+AFTER_COMMAND_S, AFTER_QUESTION_S, AFTER_OTHER_S = 5.5, 11.5, 3.0
 """Until the next sentence: the robot has to begin, or to answer, in between."""
-HOLD_S = 3.5
+HOLD_S = 2.5
 """How long a dance lasts that was asked for; then the robot stands."""
 
 
