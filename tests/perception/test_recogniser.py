@@ -222,3 +222,14 @@ def test_files_that_do_not_fit_are_refused(tmp_path, model):
     (tmp_path / "mdef").write_bytes(b"BMDF" + bytes(100))
     with pytest.raises(PerceptionError, match="is no acoustic model"):
         load_acoustic_model(tmp_path)
+
+
+@pytest.mark.slow
+@needs_espeak
+def test_test_voices_are_obeyed_and_other_sentences_are_not():
+    from downbeat.tools.calibrate_recogniser import evaluate
+
+    found = evaluate(snr_db=20.0, share=4)
+    assert found["right"] >= 0.85, found
+    assert found["false_accepts"] <= 0.06, found
+    assert found["wrong"] <= 0.08, found
