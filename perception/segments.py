@@ -31,7 +31,9 @@ class SegmentConfig:
         pre_roll_s: Sound kept from before the opening [s]: first consonants are not voiced.
         max_s: A monologue is cut here [s].
         min_voiced_fraction: A segment needs this share of voiced frames to be forwarded.
-        epsilon: It needs p_speech - p_music of at least this, where a router gives them.
+        epsilon: It needs p_speech - p_music of at least this in one window of the router, if there
+            is one. Far below zero, because who speaks over music shall be heard: the windows are
+            longer than a command, and in them such a voice reaches -0.4 to -0.6, music alone -0.97.
     """
 
     open_probability: float = 0.5
@@ -43,7 +45,7 @@ class SegmentConfig:
     pre_roll_s: float = 0.25
     max_s: float = 15.0
     min_voiced_fraction: float = 0.3
-    epsilon: float = 0.0
+    epsilon: float = -0.8
 
     def __post_init__(self) -> None:
         """Refuse what cannot work.

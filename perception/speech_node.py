@@ -177,8 +177,9 @@ class SpeechNode:
             and math.isfinite(speech)
             and math.isfinite(music)
         ]
-        means = np.mean(scores, axis=0) if scores else (math.nan, math.nan)
-        why = refusal(segment, self._ears.segmenter.config, float(means[0]), float(means[1]))
+        # The windows reach back before the utterance: the one that holds most of it counts.
+        best = max(scores, key=lambda pair: pair[0] - pair[1], default=(math.nan, math.nan))
+        why = refusal(segment, self._ears.segmenter.config, float(best[0]), float(best[1]))
         if not why and self._own.is_own(segment.samples, segment.start_utime, segment.end_utime):
             why = "own voice"
         return why
