@@ -1,7 +1,8 @@
 """What `downbeat eval speech --spoken` says: commands, questions and other sentences, in voices.
 
-The sentences were fixed before the first run and the recogniser was calibrated on none of them, nor
-on these voices.
+The sentences were fixed before the first run. The voices are none that the recogniser was adapted,
+calibrated or tested with, nor are the sentences that ask for nothing; the commands hold phrases of
+the manifests, which are what it listens for.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from downbeat.perception.features import F32
 from downbeat.tools.mashup import SAMPLE_RATE_HZ, Mashup
 from downbeat.tools.onstage import speak
 
-VOICES = ("en-us+m3", "en-gb+m4", "en-us+f1")
+VOICES = ("en-us+m4", "en-gb+m3", "en-us+f1")
 CLEAN = "clean"
 NOISE = (CLEAN, "20", "10")
 """Signal over noise [dB], over the whole sentence."""

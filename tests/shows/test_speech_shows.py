@@ -109,6 +109,15 @@ def test_real_recordings_of_speech_trigger_nothing(library, tmp_path):
     assert metrics["falls"] == 0
 
 
+def test_the_voices_and_the_other_sentences_are_new_to_the_recogniser():
+    from downbeat.tools import recogniser_sentences as known
+    from downbeat.tools.spoken_lines import OTHERS, VOICES
+
+    voices = {*known.ADAPTATION_VOICES, *known.CALIBRATION_VOICES, *known.TEST_VOICES}
+    assert not voices & set(VOICES)
+    assert not {*known.CALIBRATION_SENTENCES, *known.TEST_SENTENCES} & set(OTHERS)
+
+
 def test_the_summary_fails_what_misses_a_target():
     good = Level("clean", commands=20, obeyed=18, others=20)
     good.start_skew_ms, good.end_skew_ms = [10.0], [90.0]
