@@ -24,8 +24,6 @@ import numpy as np
 import soundfile
 import soxr
 
-from downbeat.perception.grounding import Grounder, IntentKind
-from downbeat.perception.recogniser_network import STOP
 from downbeat.perception.recogniser_pocketsphinx import (
     CALIBRATION_FILE,
     FEATURES,
@@ -37,11 +35,10 @@ from downbeat.perception.recogniser_pocketsphinx import (
     load_calibration,
 )
 from downbeat.perception.segments import Segmenter
-from downbeat.perception.speech_config import SpeechConfig
 from downbeat.perception.vad import Vad
 from downbeat.policies.manifest import load_skills
-from downbeat.tools.recogniser_items import RATE_HZ, Item, in_noise, items, speak
-from downbeat.tools.speech_parts import sayable, sentence_model
+from downbeat.tools.recogniser_items import RATE_HZ, Item, Understanding, in_noise, items, speak
+from downbeat.tools.speech_parts import sayable
 
 MAX_FALSE_ACCEPTS = {"people": 0.005, "synthetic": 0.02}
 """On calibration sentences; the test is to stay within 3 %. People talk to others all day long."""
@@ -79,25 +76,6 @@ class Heard:
         if self.item.kind == "question":
             return self.text == self.item.text
         return self.item.kind == "command" and self.meaning == self.item.meaning
-
-
-class Understanding:
-    """What the robot would do for some words, as the speech process grounds them."""
-
-    def __init__(self) -> None:
-        """Load the sentence model, where there is one."""
-        self._grounder = Grounder(load_skills(), sentence_model(SpeechConfig()))
-        self._known: dict[str, str] = {"": ""}
-
-    def __call__(self, text: str) -> str:
-        """Return a skill, "stop", another kind of intent, or "" where the body does nothing."""
-        if text not in self._known:
-            intent = self._grounder.ground(text)
-            quiet = intent.kind in (IntentKind.CHAT, IntentKind.NONE)
-            self._known[text] = "" if quiet else intent.skill or intent.kind.value
-            if intent.kind is IntentKind.STOP:
-                self._known[text] = STOP
-        return self._known[text]
 
 
 def hear(

@@ -12,13 +12,15 @@ import soundfile
 import soxr
 
 from downbeat.perception.features import F32
-from downbeat.perception.grounding import NOT_BY_VOICE, STAND
+from downbeat.perception.grounding import NOT_BY_VOICE, STAND, Grounder, IntentKind
 from downbeat.perception.recogniser_grammar import STOP_WORDS, plain
 from downbeat.perception.recogniser_network import STOP
 from downbeat.perception.reply_table import QUESTIONS
+from downbeat.perception.speech_config import SpeechConfig
 from downbeat.policies.manifest import load_skills
 from downbeat.tools import recogniser_sentences as said
 from downbeat.tools.errors import ToolError
+from downbeat.tools.speech_parts import sentence_model
 
 RATE_HZ = 16_000
 PAD_S = 0.25
@@ -41,6 +43,25 @@ class Item:
     text: str
     voice: str
     words_per_minute: int
+
+
+class Understanding:
+    """What the robot would do for some words, as the speech process grounds them."""
+
+    def __init__(self) -> None:
+        """Load the sentence model, where there is one."""
+        self._grounder = Grounder(load_skills(), sentence_model(SpeechConfig()))
+        self._known: dict[str, str] = {"": ""}
+
+    def __call__(self, text: str) -> str:
+        """Return a skill, "stop", another kind of intent, or "" where the body does nothing."""
+        if text not in self._known:
+            intent = self._grounder.ground(text)
+            quiet = intent.kind in (IntentKind.CHAT, IntentKind.NONE)
+            self._known[text] = "" if quiet else intent.skill or intent.kind.value
+            if intent.kind is IntentKind.STOP:
+                self._known[text] = STOP
+        return self._known[text]
 
 
 def commands() -> dict[str, str]:
