@@ -67,5 +67,5 @@ class HearingConfig:
     matcher: Literal["alignment", "constellation"] = "alignment"
     router: RouterChoice = field(default_factory=RouterChoice)
     likeness: LikenessChoice = field(default_factory=LikenessChoice)
-    sections: bool = False
+    sections: bool = True
     conductor: ConductorConfig = field(default_factory=ConductorConfig)

@@ -13,7 +13,7 @@ from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t
 from downbeat.perception.features import F32
 from downbeat.perception.matcher import MatchResult, MusicMatcher
 from downbeat.perception.ring import Block, Ring
-from downbeat.perception.router import MUSIC, SKIP, Router, Verdict
+from downbeat.perception.router import MUSIC, Router, Verdict
 from downbeat.perception.router_energy import EnergyRouter
 from downbeat.perception.sound_share import SoundShare
 from downbeat.perception.source import Source
@@ -173,7 +173,7 @@ class ListenerNode:
         """Publish the beat, and what the music resembles where nothing is locked."""
         if self._unknown is None:
             return
-        beat = self._unknown.beat_message(utime, verdict.label != SKIP)
+        beat = self._unknown.beat_message(utime, verdict.label == MUSIC)
         beat.header.utime = utime
         self._bus.publish("MUSIC_BEAT", beat)
         missed_chunk = state.result is not None and not state.result.accepted

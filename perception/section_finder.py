@@ -8,6 +8,7 @@ A change is told 1.8 s after it sounded.
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -35,7 +36,7 @@ APART = AFTER // STRIDE
 """Windows that do not overlap are so many places apart."""
 REST = 60
 """Frames without another change after one: 3 s."""
-NUM_INPUTS = 49
+NUM_INPUTS, NUM_LAYERS = 49, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class Weights:
         centre, spread: Of frames, (NUM_VALUES,).
         directions: Of window statistics that tell recordings apart, (2 NUM_VALUES, d).
         input_centre, input_spread: Of the network's inputs, (NUM_INPUTS,).
-        layers: (matrix, bias) pairs; tanh between.
+        nets: Networks whose log odds are averaged: (matrix, bias) pairs each, tanh between.
         threshold: Log odds from which a moment is a change.
     """
 
@@ -68,16 +69,20 @@ class Weights:
     directions: F32
     input_centre: F32
     input_spread: F32
-    layers: tuple[tuple[F32, F32], ...]
+    nets: tuple[tuple[tuple[F32, F32], ...], ...]
     threshold: float
 
     def log_odds(self, inputs: np.ndarray) -> np.ndarray:
         """Return the log odds of a change, (n,), of inputs (n, NUM_INPUTS)."""
-        values = np.clip((inputs - self.input_centre) / self.input_spread, -6.0, 6.0)
-        for matrix, bias in self.layers[:-1]:
-            values = np.tanh(values @ matrix + bias)
-        matrix, bias = self.layers[-1]
-        return (values @ matrix + bias)[:, 0]
+        scaled = np.clip((inputs - self.input_centre) / self.input_spread, -6.0, 6.0)
+        total = np.zeros(len(scaled))
+        for layers in self.nets:
+            values = scaled
+            for matrix, bias in layers[:-1]:
+                values = np.tanh(values @ matrix + bias)
+            matrix, bias = layers[-1]
+            total += (values @ matrix + bias)[:, 0]
+        return total / len(self.nets)
 
 
 @lru_cache(maxsize=1)
@@ -89,12 +94,15 @@ def load_weights(path: Path = WEIGHTS) -> Weights:
     """
     try:
         with np.load(path, allow_pickle=False) as data:
-            layers = [(data[f"w{i}"], data[f"b{i}"]) for i in range(int(data["num_layers"]))]
+            nets = [
+                tuple((data[f"w{n}_{i}"], data[f"b{n}_{i}"]) for i in range(NUM_LAYERS))
+                for n in range(int(data["num_nets"]))
+            ]
             return Weights(
                 data["centre"], data["spread"], data["directions"], data["input_centre"],
-                data["input_spread"], tuple(layers), float(data["threshold"]),
+                data["input_spread"], tuple(nets), float(data["threshold"]),
             )  # fmt: skip
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise PerceptionError(
             f"{path} does not hold the section finder's weights; "
             "`python -m downbeat.tools.train_sections` makes them."
