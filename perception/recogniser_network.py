@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -170,9 +170,6 @@ class _Builder:
 
     def edges(self, before: list[str], after: list[str]) -> tuple[list[int], list[int]]:
         """Return the phones that a phrase may follow, and those that may follow it."""
-        first: Callable[[str], int] = lambda text: self._dictionary.ways(text)[0][0][0]  # noqa: E731
-        last: Callable[[str], int] = lambda text: self._dictionary.ways(text)[0][-1][-1]  # noqa: E731
-        return (
-            sorted({self._silence, *map(last, before)}),
-            sorted({self._silence, *map(first, after)}),
-        )
+        first = {self._dictionary.ways(text)[0][0][0] for text in after}
+        last = {self._dictionary.ways(text)[0][-1][-1] for text in before}
+        return sorted({self._silence} | last), sorted({self._silence} | first)
