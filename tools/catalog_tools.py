@@ -14,7 +14,7 @@ from downbeat.catalog.tracks import BUNDLED_TRACKS, load_tracks
 from downbeat.perception.constellation import ConstellationMatcher
 from downbeat.perception.index import Index
 from downbeat.perception.matcher import AlignmentMatcher, MusicMatcher
-from downbeat.perception.source import load_recording
+from downbeat.perception.source import audio_files, load_recording
 from downbeat.tools.catalog_build import (
     Changes,
     add_track,
@@ -22,9 +22,11 @@ from downbeat.tools.catalog_build import (
     remove_track,
     update_catalog,
 )
+from downbeat.tools.catalog_likeness import choose_embedder, update_likeness
 from downbeat.tools.duplicates import find_duplicates
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import dance_names, say
+from downbeat.tools.recordings import INDEX_NAME
 
 MATCHERS: dict[str, type[AlignmentMatcher] | type[ConstellationMatcher]] = {
     "alignment": AlignmentMatcher,
@@ -32,10 +34,13 @@ MATCHERS: dict[str, type[AlignmentMatcher] | type[ConstellationMatcher]] = {
 }
 
 
-def build(audio: Path, out: Path, seed: int) -> int:
+def build(audio: Path, out: Path, seed: int, clap: Path | None = None) -> int:
     """Make or update the catalogue of a folder of recordings."""
+    embedder = choose_embedder(clap)
     is_quiet = not sys.stderr.isatty()
     index, changes = update_catalog(audio, out, dance_names(), seed, say, is_quiet)
+    files = {path.stem: path for path in audio_files(audio)}
+    update_likeness(out / INDEX_NAME, index.names, changes.made, files, embedder, say)
     for reason in changes.left_out:
         say(f"left out: {reason}")
     for one, other in find_duplicates(index):
@@ -50,6 +55,8 @@ def build(audio: Path, out: Path, seed: int) -> int:
 def add(where: Path, audio: Path, seed: int) -> int:
     """Add one recording to a catalogue."""
     index, changes = add_track(where, audio, dance_names(), seed, say)
+    files = {audio.stem: audio}
+    update_likeness(index_path(where), index.names, changes.made, files, choose_embedder(None), say)
     for one, other in find_duplicates(index) if changes.made else ():
         if audio.stem in (one, other):
             print(f"'{one}' and '{other}' hold the same recording; take one of them out.")
@@ -60,6 +67,7 @@ def add(where: Path, audio: Path, seed: int) -> int:
 def remove(where: Path, name: str) -> int:
     """Take one track out of a catalogue."""
     index, changes = remove_track(where, name)
+    update_likeness(index_path(where), index.names, (), {}, choose_embedder(None), say)
     print(f"{where}: {_summary(index, changes)}")
     return 0
 

@@ -9,6 +9,8 @@ import soundfile
 
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import Index
+from downbeat.perception.likeness_build import LIKENESS_NAME
+from downbeat.perception.likeness_store import LikenessTable
 from downbeat.tools import catalog_build, catalog_tools
 from downbeat.tools.catalog_build import add_track, index_path, remove_track, update_catalog
 from downbeat.tools.duplicates import find_duplicates
@@ -179,3 +181,22 @@ def test_match_prints_its_answer_as_json(audio, tmp_path, analysed, capsys, matc
     assert {"track", "tau_s", "confidence", "votes", "rate", "accepted"} <= set(found)
     assert (found["track"], found["accepted"]) == ("song2", True)
     assert found["tau_s"] == pytest.approx(3.0, abs=0.05)
+
+
+def test_what_tracks_sound_like_is_kept_up_to_date_beside_the_index(
+    audio, tmp_path, analysed, capsys
+):
+    out = tmp_path / "catalog"
+    catalog_tools.build(audio, out, 0)
+    before = LikenessTable.load(out / LIKENESS_NAME)
+    assert before.names == ["song0", "song1", "song2"]
+    soundfile.write(audio / "song1.wav", song(7), RATE)
+    catalog_tools.build(audio, out, 0)
+    after = LikenessTable.load(out / LIKENESS_NAME)
+    assert [a == b for a, b in zip(after.sounds, before.sounds)] == [True, False, True]
+    catalog_tools.remove(out, "song0")
+    soundfile.write(tmp_path / "song9.wav", song(9), RATE)
+    catalog_tools.add(out, tmp_path / "song9.wav", 0)
+    assert LikenessTable.load(out / LIKENESS_NAME).names == ["song1", "song2", "song9"]
+    with pytest.raises(PerceptionError, match="clap"):
+        catalog_tools.build(audio, out, 0, clap=tmp_path)

@@ -22,12 +22,14 @@ class Build:
     """Folder that receives NAME.toml per track and index.bin."""
     seed: int = 0
     """Assigns skills to tracks; edit the TOML files to your taste afterwards."""
+    clap: Path | None = None
+    """Folder of `downbeat models export clap`, which then says what tracks sound like."""
 
     def run(self) -> int:
         """Build it."""
         from downbeat.tools.catalog_tools import build
 
-        return build(self.audio, self.out, self.seed)
+        return build(self.audio, self.out, self.seed, self.clap)
 
 
 @dataclass(frozen=True)
