@@ -1,4 +1,4 @@
-"""`downbeat listen` and `downbeat source` by themselves, for people who want to see what is heard."""
+"""`downbeat listen` and `downbeat source` by themselves, for whoever wants to see what is heard."""
 
 from __future__ import annotations
 
