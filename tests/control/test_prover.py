@@ -60,6 +60,20 @@ def test_a_refused_plan_goes_through_stand_and_is_still_in_time(library):
     assert any("6 of 32 rollouts from here fell" in reason for _, _, reason in rig.words(2))
 
 
+def test_what_ends_by_itself_stands_soon_where_every_plan_needs_its_check(library):
+    """What is wanted at once must not be planned anew in every tick, while the checker thinks."""
+    rig = ProofRig(library, atlas_of(0.009, PAIR, stand=0.009))
+    rig.run(3.0)
+    request = rig.request("kpop")
+    request.duration_s = 1.0
+    rig.tick([request])
+    rig.run(4.0)
+    (done,) = [c for c in rig.changes if c.key[1] == 1 and c.state == status.DONE]
+    to_stand = [query for query in rig.queries if query.to_skill == "stand"]
+    assert done and 1 <= len(to_stand) <= 2
+    assert rig.core.director.playback.name == "stand"
+
+
 def test_a_lone_fall_does_not_refuse_a_proven_plan(library):
     rig, _ = dance(library, atlas_of(0.009, PAIR), answer=1)
     assert plan_of(rig) == "blended"
