@@ -6,6 +6,7 @@ it is the next of that track's skills. A dance that the tempo forbids gives way 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ BEAT_STALE_US = 3_000_000
 """A beat line older than this is no longer extrapolated."""
 TEMPO_SLACK = 1.03
 """A dance may be played this much outside its certified tempos: a tracker's tempo is not exact."""
+OCTAVES = (0.5, 1.0, 2.0)
 LEAD_US = 250_000
 """A dance begins on the first beat after this."""
 
@@ -157,7 +159,7 @@ class Improviser:
         if pulse is None:
             return None
         skill = self._skills[name]
-        octave = tempo_octave(pulse.bpm, skill.tempo_range_bpm)
+        octave = self._octave(name, pulse.bpm, line.rate)
         beat_s = 60.0 / skill.bpm
         # The music's beats are the dance's beats, or every second one, or every half.
         step_s = beat_s * min(octave, 1.0)
@@ -165,4 +167,17 @@ class Improviser:
         heard_s = octave * beat_s * pulse.beats_at(now)
         error_s = (heard_s - running_s + 0.5 * step_s) % step_s - 0.5 * step_s
         phase_s = (running_s + error_s) % skill.duration_s
-        return PhaseFit(now, phase_s, self._rate(name, pulse.bpm))
+        return PhaseFit(now, phase_s, octave * pulse.bpm / skill.bpm)
+
+    def _octave(self, name: str, bpm: float, rate: float) -> float:
+        """Return skill beats per beat heard, as near to the dance's tempo as the skill can dance.
+
+        Where both octaves of a beat are in range, the follower may go from one to the other; a
+        dance that went along would change its speed for nothing.
+        """
+        skill = self._skills[name]
+        low, high = skill.tempo_range_bpm
+        able = [o for o in OCTAVES if low / TEMPO_SLACK <= bpm * o <= high * TEMPO_SLACK]
+        if not able:
+            return tempo_octave(bpm, (low, high))
+        return min(able, key=lambda o: abs(math.log(bpm * o / (skill.bpm * rate))))

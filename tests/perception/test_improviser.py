@@ -145,6 +145,18 @@ def test_following_moves_a_dance_to_the_nearest_beat(bpm, phase_s, rate, offset_
     assert abs(beats / step - round(beats / step)) * step < 0.01
 
 
+def test_a_beat_that_is_heard_an_octave_lower_does_not_slow_the_dance():
+    improviser = Improviser(TRACKS, {**SKILLS, "a": Info(120.0, 4.0, (75.0, 160.0))})
+    now = START + 3_000_000
+    improviser.beat(beat_message(now, 150.0, START))
+    line = improviser.begin("a", now)
+    improviser.beat(beat_message(line.utime, 75.0, START))
+    fit = improviser.follow("a", line, line.utime)
+    assert fit.rate == pytest.approx(line.rate) == pytest.approx(150.0 / 120.0)
+    error_s = (fit.phase_s - line.phase_s + 0.25) % 0.5 - 0.25  # of a beat of the dance
+    assert abs(error_s) < 0.001
+
+
 def test_a_match_below_the_gates_is_no_lock():
     for config in (ConductorConfig(min_confidence=6.0), ConductorConfig(min_votes=100)):
         floor = Floor(config)
