@@ -24,6 +24,9 @@ CHECK_S = 1.0
 HOLD_SIMILARITY, SURE_SIMILARITY = 0.24, 0.30
 """A second of the right place correlates by 0.5 to 0.95 (in noise by 0.3), of a wrong one by 0.1;
 what was in doubt must be surer."""
+NOISY_USUAL, NOISY_SIMILARITY, NOISY_CHECK_S = 0.5, 0.15, 2.0
+"""A lock used to less is one in noise: a second may fall short of the floor there, two do not; a
+second of something else falls below the second figure."""
 HOLD_SHARE = 0.6
 """Or a fall to this share of what the lock has been used to."""
 REGAIN_SHARE = 0.75
@@ -127,7 +130,11 @@ class Tracker:
         floor, share = HOLD_SIMILARITY, HOLD_SHARE
         if self._bad_hops:
             floor, share = SURE_SIMILARITY, REGAIN_SHARE
-        if similarity >= max(floor, share * self._usual):
+        is_held = similarity >= max(floor, share * self._usual)
+        if not is_held and self._usual < NOISY_USUAL and similarity >= NOISY_SIMILARITY:
+            longer, correction_s = self._compare(ring, now, place, NOISY_CHECK_S)
+            is_held = longer >= max(floor, share * self._usual)
+        if is_held:
             is_young = now - self._locked_since_utime <= SETTLING_US
             elapsed_s = 0.0 if is_young else (now - self._last_good_utime) * 1e-6
             self._bad_hops = self._paused_us = 0
