@@ -2,7 +2,8 @@
 
 The pause that ends an utterance is most of the robot's time to react, and the recogniser would
 idle in it. So it begins after a tenth of a second; when the pause is over, its answer is there. A
-command that it is sure of ends the pause at once; what goes on makes the guess worthless.
+command that it is very sure of (`ends_a_pause`) ends the pause at once; what goes on makes the
+guess worthless.
 """
 
 from __future__ import annotations
@@ -10,9 +11,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from downbeat.perception.recognisers import Recognition
+
 T = TypeVar("T")
 LONGEST_S = 4.0
 """Commands are shorter; guessing about a speech at every breath only costs time."""
+SURE = 0.95
+"""Confidence from which a pause is ended: a few words into a sentence, when the rest that would
+make it none is still to come, a command has to sound far better than the 0.25 to 0.4 that do for a
+whole utterance. It saves 0.09 s where it is right and makes the robot move where it is wrong."""
+AROUND = frozenset("a an and can could do hey it me now okay please robot show the us you".split())
+FEWEST_WORDS = 2
+"""One word is too easily the beginning of a sentence: "the monkey, I think, ..." sounds like "do the
+monkey", "we stopped" like "please stop it", and both with a confidence of 0.9 to 1.0."""
 
 
 @dataclass
@@ -64,3 +75,13 @@ class Guesses(Generic[T]):
     def known(self) -> list[tuple[int, T]]:
         """Return the guesses about pauses that may still be over: (serial, guess)."""
         return list(self._known.items())
+
+
+def ends_a_pause(recognition: Recognition) -> bool:
+    """Return whether a guess is so sure that the rest of the pause need not be waited for.
+
+    Words that may stand around any command ("now", "please") do not count, nor does a confidence
+    that is no number: such a guess waits for the whole pause, and is used then.
+    """
+    words = [word for word in recognition.words or recognition.text.split() if word not in AROUND]
+    return len(words) >= FEWEST_WORDS and recognition.confidence >= SURE

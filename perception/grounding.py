@@ -20,6 +20,7 @@ from downbeat.perception.grounding_examples import EXAMPLES
 from downbeat.perception.grounding_misheard import Misheard
 from downbeat.perception.grounding_numbers import Parameters, parameters
 from downbeat.perception.grounding_rules import Clause, Form, clauses, is_address, plain
+from downbeat.perception.grounding_sounds import OTHER_NAMES, SoundsLike
 from downbeat.perception.grounding_talk import TALK
 from downbeat.policies.manifest_types import SkillManifest
 
@@ -118,7 +119,8 @@ _RESUME = re.compile(
 )
 _BEFORE = re.compile(
     r"\b(?:it|that|this|thing|same|one|just|go|from|start|beginning|whole|at|with|bit|little|much"
-    r"|lot|even|way|tempo|pace|speed|have|see|play|try|let's|be)\b"
+    r"|lot|even|way|tempo|pace|speed|have|see|play|try|let's|be|last|dance|dances|one|up|down|what"
+    r"|did|perform|performance|routine|everything|all|over|once|really|nice|great)\b"
 )
 _WORD = re.compile(r"[\w']+")
 
@@ -157,6 +159,8 @@ class Grounder:
         self._names = [name for _, name in texts]
         knows = (lambda _: False) if model is None else model.knows
         self._misheard = Misheard((text for text, _ in self._phrases), knows)
+        listened = {text: name for text, name in self._exact.items() if name != STAND}
+        self._sounds = SoundsLike(listened, OTHER_NAMES)
         if model is not None:
             self._vectors = model.embed([text for text, _ in texts])
             self._talk = model.embed([asked(text) for text in TALK])
@@ -208,6 +212,11 @@ class Grounder:
         if numbers.tempo and len(_content(rest).split()) <= 1:
             return Intent(IntentKind.TEMPO, score=1.0, margin=1.0, parameters=whole)
         skill, score, margin, talk = self._closest(rest or clause.text)
+        if clause.form is Form.REQUEST and score < 1.0:
+            sounding = self._sounds.mend(rest or clause.text)
+            mended = self._closest(sounding)
+            if sounding != (rest or clause.text) and mended[1] > score:
+                skill, score, margin, talk = mended
         limits = self._limits
         least = limits.request if clause.form is Form.REQUEST else limits.bare
         if not skill or score < least or margin < limits.margin or talk < limits.talk:

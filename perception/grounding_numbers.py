@@ -34,19 +34,22 @@ _FASTER = re.compile(
     r"\b(?:faster|quicker|speed (?:it |that |things )?up|more (?:quickly|speed)"
     r"|double (?:the )?(?:speed"
     r"|tempo|time)|twice (?:as fast|the speed)|(?:pick|step) up the (?:pace|tempo|speed)"
-    r"|hurry(?: up)?"
-    r"|(?:raise|increase|up) the (?:pace|tempo|speed)|accelerate)\b"
+    r"|(?:a )?(?:higher|quicker) (?:pace|tempo|speed)|hurry(?: up)?"
+    r"|(?:raise|increase|up) the (?:pace|tempo|speed)|accelerate|speed up(?: (?:please|the (?:dance|music|moves?)))?)\b"
 )
 _SLOWER = re.compile(
     r"\b(?:slower|slow (?:it |that |things )?down|more slowly|less (?:quickly|speed)"
     r"|half (?:the )?(?:speed"
     r"|tempo|time)|half as fast|(?:lower|reduce|decrease|drop) the (?:pace|tempo|speed)"
+    r"|(?:a )?(?:lower|slower) (?:pace|tempo|speed)|slow down the (?:dance|moves?|pace|tempo|speed)"
     r"|decelerate|in slow motion)\b"
 )
 _AGAIN = re.compile(
-    r"\b(?:again|once more|one more time|another (?:time|go|round)|repeat(?: that| it"
-    r"| the last one)?"
-    r"|encore|one more|from the top)\b"
+    r"\b(?:again|once more|one more time|another (?:time|go|round)"
+    r"|repeat(?: (?:that|it|this|the|your|what you (?:just )?did))?(?: last)?(?: (?:one|dance|thing"
+    r"|move|moves|part|bit))?"
+    r"|replay(?: that| it)?|(?:the )?same(?: (?:thing|one|dance|move))? (?:again|once more)"
+    r"|do (?:it|that) over|encore|one more|from the top)\b"
 )
 
 

@@ -10,6 +10,8 @@ import re
 from dataclasses import dataclass
 from enum import Enum
 
+from downbeat.perception.grounding_run_on import divided
+
 
 class Form(Enum):
     """The form of a clause."""
@@ -243,8 +245,9 @@ def clauses(text: str) -> list[Clause]:
         part = " ".join(part.strip(" .-").split())
         if _REFUSES.match(part):
             found = [one for one in found if one.form not in (Form.REQUEST, Form.BARE)]
-        if part and not _NOTHING.match(part):
-            found += _judge(part)
+        for piece in divided(part):
+            if not _NOTHING.match(piece):
+                found += _judge(piece)
     return found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from downbeat.lcm_types import audio_chunk_t, music_match_t
 from downbeat.perception.conversation import Context, Conversation, Reply
-from downbeat.perception.early_guess import LONGEST_S, Guesses
+from downbeat.perception.early_guess import LONGEST_S, Guesses, ends_a_pause
 from downbeat.perception.grounding import Grounder, IntentKind
 from downbeat.perception.own_voice import OwnVoice
 from downbeat.perception.recogniser_openai import wav_bytes
@@ -165,7 +165,8 @@ class SpeechNode:
         """A command that was heard for sure needs no longer pause."""
         for serial, guess in self._guesses.known():
             is_command = guess.intent.kind in KINDS and guess.intent.kind is not IntentKind.CHAT
-            if is_command and self._ears.segmenter.end(serial):
+            is_sure = is_command and ends_a_pause(guess.recognition)
+            if is_sure and self._ears.segmenter.end(serial):
                 self._guesses.drop(serial)
                 self._decide(guess, utime)
 

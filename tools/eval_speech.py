@@ -14,13 +14,13 @@ from rich.console import Console
 from rich.table import Table
 
 from downbeat.perception.errors import PerceptionError
-from downbeat.perception.grounding import Grounder, Intent, IntentKind
+from downbeat.perception.grounding import STAND, Grounder, Intent, IntentKind
 from downbeat.perception.sentence_model import SentenceModel
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.errors import ToolError
 
 COLUMNS = ("half", "kind", "expected", "text")
-CHAT, FORBIDDEN = "chat", "-"
+CHAT, FORBIDDEN, STOP = "chat", "-", IntentKind.STOP.value
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Utterance:
     Attributes:
         half: "tune" or "test".
         kind: request, parameter, again, tempo, stop, negation, chat, garbled.
-        expected: A skill, "stop", "again", "tempo", "chat", or "-": anything but a skill.
+        expected: A skill, "stop", "again", "tempo", "chat", or "-": anything but a skill. "stand"
+            and "stop" are one: both make the robot stand, and the grounding says "stop".
         text: As spoken.
     """
 
@@ -114,7 +115,7 @@ def score(grounder: Grounder, utterances: Iterable[Utterance], backend: str) -> 
             triggers += not is_good
         else:
             commands += 1
-            is_good = found == one.expected
+            is_good = found == (STOP if one.expected == STAND else one.expected)
             right += is_good
         if not is_good:
             wrong.append([one.expected, found, one.text])
