@@ -167,7 +167,8 @@ def _print_streams(console: Console, report: ChunkReport) -> None:
         lock = shares["first_lock_s"]
         console.print(
             f"listener, {name}, clips of 10 s: right at the end {100.0 * shares['right']:.1f} % of "
-            f"{score.n}, wrong {100.0 * shares['wrong']:.1f} %; first lock p50 {lock['p50']:g} s, "
+            f"{score.n} ({100.0 * shares['held']:.1f} % with those in doubt just then), "
+            f"wrong {100.0 * shares['wrong']:.1f} %; first lock p50 {lock['p50']:g} s, "
             f"p95 {lock['p95']:g} s",
             highlight=False,
             soft_wrap=True,

@@ -51,12 +51,14 @@ class StreamScore:
     Attributes:
         n: Clips.
         right: Locked on the right track at the right place when the clip ends.
+        held: As `right`, or in doubt at that moment, with the place still known.
         wrong: Locked elsewhere then.
         lock_s: From the start of a clip to the first lock on its track [s]; inf: none.
     """
 
     n: int = 0
     right: int = 0
+    held: int = 0
     wrong: int = 0
     lock_s: list[float] = field(default_factory=list)
 
@@ -67,6 +69,7 @@ class StreamScore:
         return {
             "n": self.n,
             "right": round(self.right / count, 4),
+            "held": round(self.held / count, 4),
             "wrong": round(self.wrong / count, 4),
             "first_lock_s": {"p50": round(float(p50), 2), "p95": round(float(p95), 2)},
         }
@@ -101,11 +104,13 @@ def hear_clip(
     first = next((h.time_s for h in locked if h.track == clip.name), float("inf"))
     score.n += 1
     score.lock_s.append(first)
-    if not heard or heard[-1].lock != music_match_t.LOCKED:
+    if not heard or not heard[-1].track:
         return
     is_right = judge_end(heard[-1], start_s, clip, judge)
-    score.right += is_right
-    score.wrong += not is_right
+    is_locked = heard[-1].lock == music_match_t.LOCKED
+    score.held += is_right
+    score.right += is_right and is_locked
+    score.wrong += is_locked and not is_right
 
 
 def judge_end(last: Heard, start_s: float, clip: Recording, judge: Judge) -> bool:
