@@ -8,7 +8,6 @@ with the skills, because no single threshold tells a paraphrase from small talk.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ from typing import Protocol
 
 from downbeat.perception.features import F32
 from downbeat.perception.grounding_examples import EXAMPLES
-from downbeat.perception.grounding_misheard import Misheard
+from downbeat.perception.grounding_misheard import Misheard, phrase_likeness
 from downbeat.perception.grounding_numbers import Parameters, parameters
 from downbeat.perception.grounding_rules import Clause, Form, clauses, is_address, plain
 from downbeat.perception.grounding_sounds import OTHER_NAMES, SoundsLike
@@ -102,8 +101,6 @@ LETTERS_WEIGHT, LETTERS_FROM = 0.4, 0.7
 """Letters add to meaning what they are more alike than this: a misheard name has no meaning."""
 NAMED = 0.06
 """A skill whose very name is said is so much closer, unless others share the name (salsa)."""
-LEFT_OVER = 0.12
-"""Each word that is no part of the phrase makes it so much less alike."""
 _MOVES = re.compile(
     r"\b(?:danc\w*|mov(?:e|ing)|go|run|walk\w*|turn|anything|do (?:that|it|this)|come)\b|^$"
 )
@@ -120,8 +117,14 @@ _RESUME = re.compile(
 _BEFORE = re.compile(
     r"\b(?:it|that|this|thing|same|one|just|go|from|start|beginning|whole|at|with|bit|little|much"
     r"|lot|even|way|tempo|pace|speed|have|see|play|try|let's|be|last|dance|dances|one|up|down|what"
+    r"|run|motion|sequence|skill|execute"
     r"|did|perform|performance|routine|everything|all|over|once|really|nice|great)\b"
 )
+_REFERS = re.compile(
+    r"\b(?:their|his|her) (?:\w+ )?(?:dances?|moves?|style)|\blike (?:them|him|her|that|those)\b"
+    r"|\bone of (?:them|those|theirs)\b"
+)
+"""What was named in the clause before is meant: "she loves BTS, dance like them"."""
 _WORD = re.compile(r"[\w']+")
 
 
@@ -183,9 +186,11 @@ class Grounder:
                 forbidden = forbidden or self._forbidden(clause)
         best = Intent(IntentKind.CHAT)
         numbers, _ = parameters(_spoken(text))
-        for clause in found:
+        for before, clause in zip([None, *found], found, strict=False):
             if clause.form not in (Form.REQUEST, Form.BARE):
                 continue
+            if before is not None and before.form is Form.OTHER and _REFERS.search(clause.text):
+                clause = Clause(clause.form, f"{clause.text} {before.text}")
             intent = self._wanted(clause, numbers)
             if intent.kind is not IntentKind.CHAT and intent.score > best.score:
                 best = intent
@@ -212,8 +217,8 @@ class Grounder:
         if numbers.tempo and len(_content(rest).split()) <= 1:
             return Intent(IntentKind.TEMPO, score=1.0, margin=1.0, parameters=whole)
         skill, score, margin, talk = self._closest(rest or clause.text)
-        if clause.form is Form.REQUEST and score < 1.0:
-            sounding = self._sounds.mend(rest or clause.text)
+        if score < 1.0:
+            sounding = self._sounds.mend(rest or clause.text, clause.form is Form.REQUEST)
             mended = self._closest(sounding)
             if sounding != (rest or clause.text) and mended[1] > score:
                 skill, score, margin, talk = mended
@@ -240,7 +245,7 @@ class Grounder:
             talk = float((self._talk @ vector).max())
         letters = _letters(text)
         for phrase, name in self._phrases:
-            likeness = _likeness(phrase, letters)
+            likeness = phrase_likeness(phrase, letters)
             bonus[name] = max(bonus.get(name, 0.0), LETTERS_WEIGHT * (likeness - LETTERS_FROM))
             if self._model is None and likeness >= self._limits.letters:
                 by_skill[name] = max(by_skill.get(name, -1.0), likeness)
@@ -281,24 +286,3 @@ def _letters(text: str) -> str:
 def _content(text: str) -> str:
     """Return what is left to be done once "it" and the like are taken for what was done before."""
     return _BEFORE.sub(" ", _letters(text)).strip()
-
-
-def _likeness(phrase: str, text: str) -> float:
-    """Return how like a phrase the best piece of a text is, 0 to 1: mishearings are near misses.
-
-    Spaces do not count ("thrill er"), and what is left over makes it less alike.
-    """
-    words, wanted = text.split(), phrase.replace(" ", "")
-    if not words:
-        return 0.0
-    if phrase == text:
-        return 0.97
-    best = 0.0
-    count = len(phrase.split())
-    for size in range(max(1, count - 1), count + 3):
-        for start in range(len(words) - size + 1):
-            piece = "".join(words[start : start + size])
-            ratio = difflib.SequenceMatcher(None, wanted, piece, autojunk=False).ratio()
-            left = 1.0 - LEFT_OVER * (len(words) - size)
-            best = max(best, 0.95 * ratio * left)
-    return best

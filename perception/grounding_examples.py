@@ -136,6 +136,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "salsa with the feet stepping forward and back", "only the feet of the salsa",
         "salsa stepping", "the salsa basic with your feet",
     ),
+    "stand": (
+        "go back to a neutral pose", "return to the home position", "stand up straight",
+        "return to the starting position", "go to your neutral position", "stand at attention",
+        "go back to your normal stance", "return to a neutral stance", "go to the idle pose",
+        "return to standing", "be like a statue", "have a little rest",
+    ),
     "sway": (
         "sway to the music", "rock gently from side to side", "swing softly please",
         "can you sway a little", "do a slow gentle sway",

@@ -28,6 +28,8 @@ _SOUNDS = (
     (r"(.)\1", r"\1"),
 )
 """Spellings of the same sound, applied in this order."""
+LEFT_OVER = 0.12
+"""Each word that is no part of the phrase makes it so much less alike."""
 _WORD = re.compile(r"[a-z']+")
 
 
@@ -88,3 +90,24 @@ def sounds(word: str) -> str:
 
 def _alike(a: str, b: str) -> float:
     return difflib.SequenceMatcher(None, a, b, autojunk=False).ratio()
+
+
+def phrase_likeness(phrase: str, text: str) -> float:
+    """Return how like a phrase the best piece of a text is, 0 to 1: mishearings are near misses.
+
+    Spaces do not count ("thrill er"), and what is left over makes it less alike.
+    """
+    words, wanted = text.split(), phrase.replace(" ", "")
+    if not words:
+        return 0.0
+    if phrase == text:
+        return 0.97
+    best = 0.0
+    count = len(phrase.split())
+    for size in range(max(1, count - 1), count + 3):
+        for start in range(len(words) - size + 1):
+            piece = "".join(words[start : start + size])
+            ratio = difflib.SequenceMatcher(None, wanted, piece, autojunk=False).ratio()
+            left = 1.0 - LEFT_OVER * (len(words) - size)
+            best = max(best, 0.95 * ratio * left)
+    return best

@@ -35,7 +35,10 @@ _FASTER = re.compile(
     r"|double (?:the )?(?:speed"
     r"|tempo|time)|twice (?:as fast|the speed)|(?:pick|step) up the (?:pace|tempo|speed)"
     r"|(?:a )?(?:higher|quicker) (?:pace|tempo|speed)|hurry(?: up)?"
-    r"|(?:raise|increase|up) the (?:pace|tempo|speed)|accelerate|speed up(?: (?:please|the (?:dance|music|moves?)))?)\b"
+    r"|(?:do (?:it|that|this)|go)(?: (?:really|very|super|so|much|a lot|even))*"
+    r" (?:fast|quick(?:ly)?)"
+    r"|(?:raise|increase|up)(?: the| your)? (?:pace|tempo|speed)(?: by (?:\w+ ){1,2}percent)?"
+    r"|accelerate|speed up(?: (?:please|the (?:dance|music|moves?)))?)\b"
 )
 _SLOWER = re.compile(
     r"\b(?:slower|slow (?:it |that |things )?down|more slowly|less (?:quickly|speed)"
@@ -47,8 +50,8 @@ _SLOWER = re.compile(
 _AGAIN = re.compile(
     r"\b(?:again|once more|one more time|another (?:time|go|round)"
     r"|repeat(?: (?:that|it|this|the|your|what you (?:just )?did))?(?: last)?(?: (?:one|dance|thing"
-    r"|move|moves|part|bit))?"
-    r"|replay(?: that| it)?|(?:the )?same(?: (?:thing|one|dance|move))? (?:again|once more)"
+    r"|move|moves|part|bit|motion|skill|routine|sequence|action|trick))?"
+    r"|replay(?: that| it)?|(?:the )?same(?: (?:thing|one|dance|move|motion))? (?:again|once more)"
     r"|do (?:it|that) over|encore|one more|from the top)\b"
 )
 

@@ -45,6 +45,16 @@ _REJECTS = re.compile(
     r"|(?<!do )(?<!does )(?<!did )(?<!is )(?<!are )(?<!was )(?<!were )(?<!can )(?<!will )"
     r"(?<!would )(?<!could )(?<!should )(?<!have )(?<!has )(?<!had )(?<!may )(?<!must )not)\b"
 )
+_PUT_OFF = re.compile(
+    r"(?: later| another time| some other time)?"
+    r" not (?:now|yet|today|tonight|again|here|this time|any ?more|at the moment|right now)$"
+)
+"""Forbids what was said before it, for now."""
+_WELCOME = re.compile(
+    r"^(?:an?|some|a (?:bit|little) of|a little) (?P<wish>.+) would be (?:so |really |very )?"
+    r"(?:great|nice|lovely|cool|fun|perfect|awesome|wonderful|good)\b"
+)
+"""A wish in the form of a statement."""
 _IDIOMS = re.compile(
     r"\b(?:you know(?=,|$)|i mean(?=,|$)|if it's (?:no|not too much) (?:trouble|bother)"
     r"|if you (?:don't|do not) mind|don't be (?:shy|afraid)|do not be (?:shy|afraid)"
@@ -99,17 +109,16 @@ _GO_ON = re.compile(
     r"|stop (?:by|for|at|over|talking|worrying|complaining|crying|lying|laughing|smoking|asking"
     r"|recording|filming|singing)"
     r"|(?:stop|freeze|pause|halt) (?:the|this|that|your|my|a|some) (?:car|bus|train|taxi|clock"
-    r"|timer"
-    r"|video|recording|film|movie|game|vegetables|leftovers|rest|water|engine|microphone)"
-    r"|enough (?:chairs|time|room|space|money|light|food|water|people|for)|pause for thought)\b"
+    r"|timer|video|recording|film|movie|game|vegetables|leftovers|rest|water|engine|microphone)"
+    r"|enough (?:chairs|time|room|space|money|light|food|water|people"
+    r"|for (?!today|now|me|us|tonight))|pause for thought)\b"
 )
 
 _ADDRESS = re.compile(
     r"^(?:(?:hey|hi|ok|okay|yo|oh|well|so|now|and|alright|all right|come on|dear|mister|mr|listen"
     r"|robot|robbie|downbeat|buddy|friend|my friend|g one|g1|everybody|yes|yeah|sure|please|kindly"
     r"|quickly|just|maybe|perhaps|great|perfect|for me|for us|thanks|um|uh|er|right now"
-    r"|go ahead and"
-    r"|sorry|excuse me|again|next|hm) )+"
+    r"|go ahead and|sorry|excuse me|again|next|hm) )+"
 )
 _TAIL = re.compile(
     r"(?: (?:please|now|right now|(?<!the )(?<!a )robot|for me|for us|for the audience"
@@ -129,7 +138,9 @@ _CALLED = re.compile(
 )
 """Only calls the robot: a "robot" alone is no robot dance."""
 _OTHER_ACTS = re.compile(
-    r"^(?:pass|recommend|suggest|lend|borrow|hand (?:me|us|him|her|over)|bring(?! on)|fetch|buy"
+    r"^(?:pass(?! an? (?:ripple|wave))|recommend|suggest|lend|borrow|explain|describe"
+    r"|tell|discuss|upload|reset|log|plot|calibrate|recalibrate"
+    r"|compile|measure|hand (?:me|us|him|her|over)|bring(?! on)|fetch|buy"
     r"|sell|cook|bake|boil|fry|eat|drink"
     r"|order|taste|pour|serve|open|close|shut|lock|unlock|play (?:the|a|some|that|us|me) (?:song"
     r"|music"
@@ -138,14 +149,11 @@ _OTHER_ACTS = re.compile(
     r"|sweep|charge|plug|unplug|paint|draw|sing|carry|feed|cut|find|look|watch(?! me)|check|remind"
     r"|book|translate|spell|count|help|park|drive|ride|meet|pay|sign|print|scan|delete|download"
     r"|install|reboot|restart|switch (?:on|off)|turn (?:on|off|up|down|the (?:page|light|lights"
-    r"|volume"
-    r"|music|sound|key))|put (?:down|away|back|out)|pick up(?! the (?:pace|tempo|speed))"
-    r"|take (?:a (?:photo|picture|seat|look"
-    r"|break"
+    r"|volume|music|sound|key))|put (?:down|away|back|out)|pick up(?! the (?:pace|tempo|speed))"
+    r"|take (?:a (?:photo|picture|seat|look|break"
     r"|nap|note|guess)|me|us|him|her|them|care|out|off|away)|get (?:me|us|him|her|off|out|lost|some"
     r" (?:rest|sleep|food|water))|clear|tidy|empty|fill|fold|mop|tie|untie|wake|marry"
-    r"|hold (?:this|that"
-    r"|my|the door)|ask|answer|google|search|record|film|mute|dim)\b"
+    r"|hold (?:this|that|my|the door)|ask|answer|google|search|record|film|mute|dim)\b"
 )
 """Work of hands and tongues: asked for, but by nobody who wants a dance."""
 _NOTHING = re.compile(
@@ -153,20 +161,17 @@ _NOTHING = re.compile(
 )
 """No clause of its own: it belongs to the one before it, or to nobody."""
 _ASKS = re.compile(
-    r"^(?:(?:do you think |i wonder if |i was wondering if |is there any chance |any chance "
-    r"|i bet )?"
+    r"^(?:(?:do you think |i wonder (?:if|whether) |i was wondering (?:if|whether) "
+    r"|is there any chance |any chance |i bet )?"
     r"(?:you (?:can|could)|we (?:can|could)(?: get| have| see)?)\b(?: please| maybe| also| do)?"
     r"|(?:would|is) it(?: be)? possible (?:for you )?to(?: see| have| get)?"
     r"|(?:is there )?any chance (?:of|to see|for)(?: seeing| getting)?(?: you)?"
     r"|i was hoping (?:for|to see|you (?:could|would))|i(?:'m| am) in the mood for|i feel like"
     r"|it would be (?:nice|great|lovely|cool|fun) (?:to see|if you (?:could|would)?"
-    r"|if we could see)"
-    r"|(?:my|our|the|this) (?:\w+ ){1,3}?(?:wants?|would (?:love|like)|(?:is"
-    r"|are) waiting for)(?: for)?"
-    r"(?: to see| to watch)?(?: you)?"
+    r"|if we could see)|(?:my|our|the|this) (?:\w+ ){1,3}?(?:wants?|would (?:love|like)|(?:is"
+    r"|are) waiting for)(?: for)?(?: to see| to watch)?(?: you)?"
     r"|(?:they|people|everybody|everyone)(?: all)? (?:wants?|would (?:love|like))(?: to see"
-    r"| to watch)?"
-    r"(?: you)?|treat us to|feel free to"
+    r"| to watch)?(?: you)?|treat us to|feel free to"
     r"|(?:can|could|would|will|won't|can't|couldn't|wouldn't) you(?: please| kindly| maybe"
     r"| perhaps| also)*(?: be so kind(?: as)? to| mind| try to| like to)?"
     r"|(?:can|could|may|might|shall) (?:we|i|you)(?: all)?(?: please)?(?: get| have| see| watch)?"
@@ -190,17 +195,13 @@ _DOES = re.compile(
     r"|move|swing|sway|shake|say|twist|pump|rock|march|come|get|raise|point|circle|wiggle|pretend"
     r"|imitate|be|behave|take|rest|relax|swirl|spin|throw|put|stretch|stomp|stagger|stumble"
     r"|ripple|push|party|shuffle|lurch|limp|wobble|slide|glide|groove|boogie|bounce|roll|lift|reach"
-    r"|flap|strike|bend|lean|tilt|rotate|swivel|hula|waltz|salsa|vogue|strut|stride|approach)\b ?)+"
-)
-_QUESTION = re.compile(
-    r"^(?:what|who|whom|whose|when|where|why|how|which|is|are|am|was|were|do|does|did|has|have|had"
-    r"|should|isn't|aren't|don't|doesn't|didn't|haven't|can|could|would|will|may|did you"
-    r"|tell|explain|describe)\b(?! (?:a|the|some|your|it|that|me|us|an|more|do|one)\b)"
+    r"|flap|strike|bend|lean|tilt|rotate|swivel|hula|waltz|salsa|vogue|strut|stride|approach|return"
+    r"|execute|run|launch|trigger|activate|initiate|engage|advance)\b ?)+"
 )
 _ASKS_ABOUT = re.compile(
     r"^(?:do (?:you|we|they|i|people|robots|your|my)|(?:does|did|are|is|was|were|have|has|had)"
     r" (?:you|we|they|i|he|she|it|the|that|this|there|people|robots|your|my)|what|who|whose|when"
-    r"|where|why|how|which|tell|explain|describe"
+    r"|where|why|how|which|tell|explain|describe|(?:is|are|was|were|does|did|has|am)"
     r"|can (?:i|he|she|it|they|people|robots)|could (?:i|he|she|it|they)|remind)\b"
 )
 _STATES = re.compile(
@@ -213,12 +214,16 @@ _STATES = re.compile(
 _TELLS = re.compile(
     r"^(?:the|a|an)\b.*\b(?:is|are|was|were|will|should|could|would|can|may|might|must|does|did"
     r"|has|have|had|looks?|smells?|tastes?|sounds?"
-    r"|broke|went"
+    r"|broke|went|stole|ate|ran|gave|saw|found|drank|threw|kept|told|knew|thought|brought"
+    r"|bought|caught|taught|sang|flew|drove|wrote|rode|slept|spoke|stood|won|lost|wore|sat|felt"
     r"|came|goes|comes|got|gets|lives?|hit|fell|needs?|costs?|starts?|ends?|closed?|opens?|said"
-    r"|says"
-    r"|made|makes|took|takes|[a-z]{3,}ed)\b"
+    r"|says|made|makes|took|takes|[a-z]{3,}ed)\b"
 )
 """A thing and what became of it: "the salsa was too spicy"."""
+_IS_SO = re.compile(
+    r"^\w.* (?:is|are|was|were|isn't|looks|sounds) (?:my|your|his|her|our|their|the|a"
+    r"|an|so|very|too|really|quite|not|out|in|on|at|from|broken|ready|great|fun|hard|easy|\w+ing)\b"
+)
 
 
 def plain(text: str) -> str:
@@ -264,6 +269,10 @@ def _judge(part: str) -> list[Clause]:
         return [Clause(Form.OTHER, bare)]
     if _FORBIDS.match(bare):
         return [Clause(Form.NEGATED, _FORBIDS.sub("", bare).strip())]
+    if (put_off := _PUT_OFF.search(part)) and not is_statement:
+        return [Clause(Form.NEGATED, part[: put_off.start()].strip())]
+    if welcome := _WELCOME.match(bare):
+        return [Clause(Form.REQUEST, welcome["wish"])]
     if (split := _REJECTS.search(bare)) and split.start() > 0 and not is_statement:
         head, tail = bare[: split.start()].strip(), bare[split.end() :].strip()
         return [*_judge(head), Clause(Form.NEGATED, tail)]
@@ -274,6 +283,8 @@ def _judge(part: str) -> list[Clause]:
     if asks := _ASKS.match(bare):
         rest = bare[asks.end() :].strip()
         rest = _ADDRESS.sub("", rest + " ").strip()
+        if _FORBIDS.match(rest):
+            return [Clause(Form.NEGATED, _FORBIDS.sub("", rest).strip())]
         form = Form.OTHER if _OTHER_ACTS.match(rest) else Form.REQUEST
         return [Clause(form, rest or bare)]
     if _OTHER_ACTS.match(bare):
@@ -282,6 +293,6 @@ def _judge(part: str) -> list[Clause]:
         return [Clause(Form.OTHER, bare)]
     if _DOES.match(bare):
         return [Clause(Form.REQUEST, bare)]
-    if _STATES.match(bare) or _TELLS.match(bare):
+    if _STATES.match(bare) or _TELLS.match(bare) or _IS_SO.search(bare):
         return [Clause(Form.OTHER, bare)]
     return [Clause(Form.BARE, bare)]

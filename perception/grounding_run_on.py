@@ -11,14 +11,19 @@ import re
 _PRAISE = r"(?:great|good|nice|fun|cool|awesome|lovely|amazing|wonderful|funny|brilliant|fantastic)"
 _OPENINGS = re.compile(
     r"^(?:(?:(?:okay|ok|so|well|and|now|right|alright|hey|hi|hello|robot|please|um|uh|erm|hmm|listen"
-    r"|dear|mister|mr|then|yes|yeah|good (?:morning|evening|afternoon)|oh|wow|cool|yay"
+    r"|mister|mr|then|yes|yeah|good (?:morning|evening|afternoon)|oh|wow|cool|yay"
     r"|ladies and gentlemen|boys and girls|everybody|everyone|my (?:dear |little )?friends?"
     r"|let me (?:think|see)(?= (?:i|could|can|do|maybe|how|what|let's))"
-    r"|i think|i guess|i say|i said|you know what|guess what|(?:the )?next (?:one|test|thing)?(?: is)?"
+    r"|i think|i guess|i say|i said|you know what|guess what"
+    r"|(?:the )?next (?:one|test|thing)?(?: is)?"
     r"|(?:what|all) (?:i|we)(?:'d| would)?(?: really| now)? (?:want|wanted|need|like|love)"
-    r"(?: now)?(?: to (?:see|watch|have))?(?: now)?(?: from you)?(?: is| was)?(?: for)?(?: you)?(?: to)?"
-    r"|my (?:favourite|favorite)(?: (?:dance|one|move))? is"
+    r"(?: now)?(?: to (?:see|watch|have))?(?: now)?(?: from you)?(?: is| was)?"
+    r"(?: for)?(?: you)?(?: to)?|my (?:favourite|favorite)(?: (?:dance|one|move))? is"
     r"|(?:it's|it is) my turn(?: now)?(?: and)?|i'm bored|we are ready|we're ready|i'm ready|ready"
+    r"|dear (?:\w+ )?(?:viewers|guests|friends|audience|children|ladies|people|robot)"
+    r"|welcome everybody|i have (?:a|one) (?:wish|request|idea|question)"
+    r"|if you (?:could|can|would)(?: please)?"
+    r"(?= (?:do|dance|perform|show|give|wave|walk|twist|sway|pump|try|make)\b)"
     r"|attention|action|command|here we go"
     r"|the (?:next|following) (?:dance|move|number|song)(?: (?:is|will be))?(?: going to be)?"
     r"|(?:and )?(?:our|my|the|this) (?:\w+ )?(?:robot|friend)(?: here)? (?:will|is going to|shall)"
@@ -32,15 +37,27 @@ _LATER = re.compile(
     r"|when(?:ever)? you(?:'re| are) ready|as (?:fast|good|well|best|long) as (?:you|it)"
     r"|before (?:we|i|you|they) (?:go|leave|start|finish|close)|while (?:i|we|they|the)"
     r"|and (?:i|we|they) will (?:watch|clap|film)|that would be \w+|it(?:'s| is| will be) \w+ fun"
-    r"|for (?:the|my|our|your|all the|all|these|those) (?:little |small |lovely |dear |nice )?(?:kids"
-    r"|children|people|audience|viewers|guests|ladies|girls|boys|camera|cameras|class|family|mum|mom"
-    r"|mother|dad|father|grandma|granny|grandpa|grandmother|grandfather|sister|brother|friends?|son"
-    r"|daughter|baby|public|visitors|crowd|video|test|demo|log|record|recording|spectators)"
-    r"(?: (?:at home|over there|here|tonight|today|now|please|in the \w+(?: \w+)?))?"
-    r"|for (?:everybody|everyone|me|us|them|him|her)(?: (?:here|now|please|tonight|again))?)\b"
+    r")\b"
     r"(?P<tail>.*)$"
 )
-"""Why, for whom, if it pleases: nothing of what is wanted."""
+"""Why, and if it pleases: nothing of what is wanted."""
+_FOR_WHOM = re.compile(
+    r"(?<= )for (?:(?:the|my|our|your|all the|all|these|those)"
+    r" (?:little |small |lovely |dear |nice )?(?:kids|children|people|audience|viewers|guests"
+    r"|ladies|girls|boys|cameras?|class|family|mum|mom|mother|dad|father|grandma|granny|grandpa"
+    r"|grandmother|grandfather|sister|brother|friends?|son|daughter|baby|public|visitors|crowd|video|test|demo"
+    r"|log|record|recording|spectators)|everybody|everyone|me|us|them|him|her)"
+    r"(?: (?:at home|over there|here|tonight|today|now|in the studio))?(?= |$)"
+)
+_SHOW_TO = re.compile(
+    r"\b(show|present|demonstrate|perform) (?:please )?to"
+    r" (?:us|me|them|everyone|everybody|(?:our|the|my) \w+)(?= )"
+)
+_WHY_FIRST = re.compile(
+    r"^(?:because|as|since) (?:\w+ ){1,8}?(?=(?:i|we) (?:want|would|'d|need)\b|(?:i|we)'d\b"
+    r"|please\b|can you\b|could you\b|show (?:me|us)\b|let's\b|dance (?:a|the|some)\b"
+    r"|do (?:a|the|some)\b)"
+)
 _CUE = (
     r"(?:(?:so |and |now |then )*(?:please |kindly )?"
     r"(?:can|could|would|will) you(?: please)?"
@@ -52,7 +69,7 @@ _CUE = (
 _NEW_WISH = re.compile(
     rf"(?<!^)(?<!\bif)(?<!\bhow)(?<!\bwhat)(?<!\bwhen)(?<!\bwhere)(?<!\bwho)(?<!\bwhy)(?<!\bthat)"
     rf"(?<!\bto)(?<!\bthink)(?<!\bwonder)(?<!\bthey)(?<!\bi)(?<!\bwe)(?<!\byou)(?<!\bnot)"
-    rf"(?<!\bdon't)(?<!\bdidn't)(?<!\bnever)(?<!\bhe)(?<!\bshe)(?<!\bit)(?<!\bwill)(?<!\bcan)"
+    rf"(?<!\bdon't)(?<!\bdidn't)(?<!\bnever)(?<!\bhe)(?<!\bshe)(?<!\bwill)(?<!\bcan)"
     rf"(?<!\bwould)(?<!\bcould)(?<!\bshould)(?<!\bmust)(?<!\bthings)(?<!\bdances)(?<!\banything)"
     rf"(?<!\beverything)(?<!\bor)(?<!\bdid)(?<!\bdo)(?<!\bas)(?<!\bno)(?<!\bhim)(?<!\bher)"
     rf"(?<!\bthem)(?<!\bme)(?<!\bus)(?<!\band) (?={_CUE}\b)"
@@ -83,6 +100,7 @@ def divided(part: str) -> list[str]:
         part = _NEW_WISH.sub(" ; ", part)
     found = []
     for piece in part.split(" ; "):
+        piece = _SHOW_TO.sub(r"\1 us", _WHY_FIRST.sub("", _FOR_WHOM.sub("", piece.strip())))
         short = _OPENINGS.sub("", piece.strip() + " ").strip() or piece.strip()
         later = _LATER.search(short)
         # A condition that forbids ("if it is not ...") is no mere politeness.

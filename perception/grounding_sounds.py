@@ -19,12 +19,14 @@ SWAP = 0.5
 """Of two neighbours: twits and twist."""
 MIN_SOUNDS = 4
 MAX_WORDS = 3
-OTHER_NAMES = frozenset(
-    "samba rumba mambo mamba tango polka limbo zumba charleston foxtrot quickstep jive bolero lambada"
-    " macarena bachata merengue floss flip worm splits jig hornpipe cancan ballet breakdance swing"
-    " test tests task tasks desk disc discs rest best next last same dishes laundry moonwalk rap"
-    " shopping cooking washing shooting money monday trust rob robe ropes tour tea toast".split()
-)
+_OTHERS = """
+samba rumba mambo mamba tango polka limbo zumba charleston foxtrot quickstep jive bolero
+lambada macarena bachata merengue floss flip worm splits jig hornpipe cancan ballet
+breakdance swing test tests task tasks desk disc discs rest best next last same dishes
+laundry moonwalk rap shopping cooking washing shooting money monday trust rob robe ropes
+tour tea toast
+"""
+OTHER_NAMES = frozenset(_OTHERS.split())
 """Dances that we do not have, and what else is done: they sound like ours, and are meant."""
 _SPELLINGS = (
     (r"[^a-z]", ""),
@@ -113,19 +115,21 @@ class SoundsLike:
         self._names = [(text, heard(text)) for text in names]
         self._names = [one for one in self._names if len(one[1]) >= MIN_SOUNDS]
         own = {word for text in names for word in text.split()}
-        self._known = own | set(known)
+        self._others = frozenset(known)
+        self._known = own | self._others
 
-    def mend(self, text: str) -> str:
+    def mend(self, text: str, is_request: bool = True) -> str:
         """Return the text with the name in it that was probably said, or as it was.
 
         Args:
             text: A request in small letters, without what makes it one.
+            is_request: False: only whole phrases are looked for.
         """
         phrase = self._phrase(text.split())
         if phrase:
             return phrase
         frame = _FRAME.match(text)
-        if frame is None:
+        if frame is None or not is_request:
             return text
         words, lead = frame["object"].split(), frame["frame"].split()
         best, found = 0.0, ""
@@ -146,14 +150,15 @@ class SoundsLike:
     def _phrase(self, words: list[str]) -> str:
         best, found = LEAST_PHRASE, ""
         for size in range(2, 5):
-            if len(words) < size:
+            if len(words) < size or self._others & set(words[:size]):
                 continue
-            joined = "".join(words[:size])
-            for name, sound in self._names:
-                if " " not in name or name == " ".join(words[:size]):
+            for name, _ in self._names:
+                if " " not in name:
                     continue
-                score = likeness(heard(joined), sound)
-                if score > best and len(sound) >= MIN_SOUNDS:
+                # What is the same says nothing: "dance like cleopatra" is no "dance like a robot".
+                wanted, said = _without_common(name.split(), words[:size])
+                score = likeness(heard(said), heard(wanted))
+                if score > best:
                     best, found = score, " ".join([name, *words[size:]])
         return found
 
@@ -166,3 +171,10 @@ class SoundsLike:
         ]
         score, name = max(scored, default=(0.0, ""))
         return name, score
+
+
+def _without_common(one: list[str], other: list[str]) -> tuple[str, str]:
+    """Return two phrases, written together, without the words that both begin with."""
+    while one and other and one[0] == other[0]:
+        one, other = one[1:], other[1:]
+    return "".join(one), "".join(other)

@@ -5,7 +5,7 @@ import pytest
 from spoken import RATE, in_noise, needs_espeak, say
 
 from downbeat.lcm_types import audio_chunk_t, speech_intent_t
-from downbeat.perception.early_guess import Guesses
+from downbeat.perception.early_guess import Guesses, ends_a_pause
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.recognisers import Recognition
 from downbeat.perception.segments import SegmentConfig, Segmenter
@@ -217,3 +217,14 @@ def test_guesses_are_used_once_and_only_for_their_own_pause():
     assert guesses.end(2) == (False, None)
     guesses.begin(3)
     assert guesses.arrive(None) is None and guesses.end(3) == (False, None)
+
+
+def test_only_what_is_very_sure_and_of_several_words_ends_a_pause():
+    def heard(text, confidence=0.99):
+        return Recognition(text, confidence, "test", 0, tuple(text.split()))
+
+    assert ends_a_pause(heard("walk like a zombie"))
+    assert not ends_a_pause(heard("walk like a zombie", 0.9))
+    assert not ends_a_pause(heard("walk like a zombie", float("nan")))
+    for text in ("stop", "please stop it", "do the monkey", "salsa", ""):
+        assert not ends_a_pause(heard(text)), text
