@@ -87,7 +87,7 @@ class Thresholds:
         letters: Least likeness of letters where meaning does not help.
     """
 
-    request: float = 0.40
+    request: float = 0.45
     bare: float = 0.65
     margin: float = 0.003
     talk: float = 0.0

@@ -138,7 +138,7 @@ _CALLED = re.compile(
 )
 """Only calls the robot: a "robot" alone is no robot dance."""
 _OTHER_ACTS = re.compile(
-    r"^(?:pass(?! an? (?:ripple|wave))|recommend|suggest|lend|borrow|explain|describe"
+    r"^(?:pass(?! an? (?:ripple|wave))|welcome|recommend|suggest|lend|borrow|explain|describe"
     r"|tell|discuss|upload|reset|log|plot|calibrate|recalibrate"
     r"|compile|measure|hand (?:me|us|him|her|over)|bring(?! on)|fetch|buy"
     r"|sell|cook|bake|boil|fry|eat|drink"

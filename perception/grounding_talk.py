@@ -80,5 +80,7 @@ TALK = (
     "move the meeting to three o'clock", "do my homework", "play a game with me",
     "give me your autograph", "a big applause please", "let's go to the commercial break",
     "let's look at the data",
+    "i want an ice cream", "move the table to the left", "move the camera",
+    "let's welcome our guest",
 )  # fmt: skip
 """With dances that we do not have: they are not to become the closest one of ours."""
