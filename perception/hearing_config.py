@@ -69,3 +69,11 @@ class HearingConfig:
     likeness: LikenessChoice = field(default_factory=LikenessChoice)
     sections: bool = True
     conductor: ConductorConfig = field(default_factory=ConductorConfig)
+
+    def __post_init__(self) -> None:
+        if self.matcher == "constellation" and self.conductor.mode != "chunks":
+            raise ValueError(
+                "matcher = 'constellation' judges chunks, it does not say from moment to moment "
+                "whether a place still fits; it goes with conductor.mode = 'chunks', a lock needs "
+                "'alignment'"
+            )

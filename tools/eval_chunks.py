@@ -133,8 +133,9 @@ class ChunkStudy:
         self.degradations = degradations(babble)
         names = [d.name for d in self.degradations]
         if unknown := [name for name in options.only if name not in names]:
+            voices = "" if self.voices else " (babble and robot need voices: --speech)"
             raise ToolError(
-                f"Condition {unknown[0]!r} does not exist; valid are {', '.join(names)}."
+                f"Condition {unknown[0]!r} does not exist; valid are {', '.join(names)}{voices}."
             )
         if options.only:
             self.degradations = [d for d in self.degradations if d.name in options.only]

@@ -146,5 +146,9 @@ def test_hearing_toml_says_what_does_not_go_together():
         config_from({"router": {"backend": "ast"}}, HearingConfig, "hearing.toml")
     with pytest.raises(ConfigError, match=r"likeness is not valid.*models export clap"):
         config_from({"likeness": {"model": "clap"}}, HearingConfig, "hearing.toml")
+    with pytest.raises(ConfigError, match=r"constellation.*conductor.mode = 'chunks'"):
+        config_from({"matcher": "constellation"}, HearingConfig, "hearing.toml")
+    chunks = {"matcher": "constellation", "conductor": {"mode": "chunks"}}
+    assert config_from(chunks, HearingConfig, "hearing.toml").matcher == "constellation"
     with pytest.raises(ConfigError, match=r"hearing.toml:matcher is 'shazam'"):
         config_from({"matcher": "shazam"}, HearingConfig, "hearing.toml")

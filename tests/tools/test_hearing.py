@@ -11,7 +11,7 @@ import soundfile
 
 from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.tracks import Track
-from downbeat.lcm_types import audio_class_t, audio_source_t, music_match_t
+from downbeat.lcm_types import audio_class_t, audio_source_t, music_beat_t, music_match_t
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.matcher import AlignmentMatcher
 from downbeat.runtime.bus import MulticastError, open_udpm
@@ -160,3 +160,23 @@ def test_a_narrator_tells_changes_and_nothing_else():
 def test_a_source_does_not_send_what_it_receives():
     with pytest.raises(PerceptionError, match="would send what it receives"):
         run_source("chunks:", "")
+
+
+def test_unknown_music_is_told_by_its_beat_its_changes_and_what_it_is_like():
+    lines = []
+    narrator = Narrator(lines.append)
+    alike = music_match_t()
+    alike.header.utime, alike.method, alike.track = 6_000_000, music_match_t.EMBEDDING, "one"
+    alike.rate = 1.0
+    alike.tau_std_s = alike.next_boundary_s = float("nan")
+    beat = music_beat_t()
+    beat.header.utime, beat.state = 7_000_000, music_beat_t.FOLLOWING
+    beat.period_s, beat.section_utime = 0.5, 5_500_000
+    for _ in range(3):
+        narrator("MUSIC_MATCH", alike.encode())
+        narrator("MUSIC_BEAT", beat.encode())
+    assert [line.split("s  ")[1] for line in lines] == [
+        "unknown, most like one",
+        "beat at 120.0 BPM",
+        "the music changed at 5.50 s",
+    ]
