@@ -79,7 +79,10 @@ def load_utterances(path: Path) -> list[Utterance]:
         with path.open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
     except (OSError, UnicodeDecodeError) as error:
-        raise ToolError(f"Utterances {path} cannot be read: {error}.") from error
+        raise ToolError(
+            f"Utterances {path} cannot be read; --utterances names a set, and the default one is "
+            "found from the folder of the repository."
+        ) from error
     if not rows:
         raise ToolError(f"{path} holds no utterance.")
     for number, row in enumerate(rows, 2):

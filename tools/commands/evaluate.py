@@ -300,7 +300,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Eval:
-    """Evaluate: `mashup` (M20, M30), `chunks`, `beat`, `follow` (unknown music), `speech`."""
+    """Evaluate known music (`mashup`, `chunks`, `beat`), unknown music, the router and speech."""
 
     what: (
         Annotated[Mashup, tyro.conf.subcommand("mashup")]
