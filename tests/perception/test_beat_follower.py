@@ -213,7 +213,7 @@ def test_tempo_comes_in_the_octave_asked_for(wanted, expected):
 
 
 @pytest.mark.slow
-def test_speech_is_rarely_steady(real_music):
+def test_speech_is_not_steady_most_of_the_time(real_music):
     steady = asked = 0
     for path in sorted((real_music.parent / "speech").glob("*.ogg")):
         samples, rate = soundfile.read(path, dtype="float32", always_2d=True)
