@@ -20,12 +20,13 @@ from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, SILENT_PEAK, Index
 from downbeat.perception.match import MatchResult, MusicMatcher
+from downbeat.perception.repeats import like_places
 
 __all__ = ["AlignmentMatcher", "MatchResult", "MusicMatcher", "threshold"]
 
 PITCHES, PLAIN_SIMILARITY = (1.02, 0.98), 0.7
 """No other pitch is tried where this one fits so well."""
-CANDIDATES, PER_TRACK, PITCHED, MORE_PLACES = 24, 4, 6, 12
+CANDIDATES, PER_TRACK, PITCHED, REPEATS = 24, 4, 6, 12
 """Places aligned finely: in all, of one track, also at other pitches, more of the winner."""
 RANKED = 400
 DEEP_CANDIDATES, DEEP_FRAMES, DEEP_RATES = 48, 30, (1.0, 0.98, 1.02)
@@ -34,7 +35,10 @@ its second frame on, as it may lie between two places of the scan: under loud vo
 was behind two hundred others, and first at the other phase."""
 SEARCH = 6
 """Fine search +-6 frames of 40 ms around a coarse place."""
-CHECK_SEARCH = 3
+CHECK_SEARCH = REPEAT_SEARCH = 3
+REPEAT_RATES_OFF = (0.0, -0.01, 0.01)
+"""From that of the winner, whose repeats are played at the same speed; a wrong one may have met it
+at another, so that 1 is tried too."""
 RUNNER_UP_SHARE = 0.8
 SPREAD_FLOOR = 1e-3
 REPEAT_SHARE, REPEAT_APART_S = 0.95, 0.25
@@ -172,21 +176,32 @@ class AlignmentMatcher:
             heard[pitch] = Heard(ft.shift_pitch(values, pitch), pitch)
             for place in places[:PITCHED]:
                 found[place] = max(found[place], self._fit(heard[pitch], place))
-        # Repeats inside the winning track: look at more of its places, at the pitch that fits.
-        best = max(found.values())
-        count = MORE_PLACES + PER_TRACK
-        more = spread_out(ranked[track_of[ranked] == best.track], track_of, count, count).tolist()
-        for place in more:
-            if place not in found or found[place].pitch != best.pitch:
-                fit = self._fit(heard[best.pitch], place)
-                found[place] = max(found.get(place, fit), fit)
+        self._look_at_repeats(values, found)
         if len(values) >= DEEP_FRAMES and not self._decide(values, _sorted(found), chance).accepted:
+            best = max(found.values())
             between, _ = self._scan.search(values[1:], RANKED)
             for order in (between, ranked):
                 for place in spread_out(order, track_of, DEEP_CANDIDATES, PER_TRACK).tolist():
                     if place not in found:
                         found[place] = self._fit(heard[1.0], place, DEEP_RATES)
+            if max(found.values()).track != best.track:
+                self._look_at_repeats(values, found)
         return _sorted(found), chance
+
+    def _look_at_repeats(self, values: F32, found: dict[int, Fit]) -> None:
+        """Add other places of the winning track, at its pitch and speed: it may repeat itself."""
+        best = max(found.values())
+        if best.track >= len(self.names):
+            return  # a decoy
+        if best.pitch != 1.0:
+            values = ft.shift_pitch(values, best.pitch)
+        heard = Heard(values, best.pitch)
+        near = [round(best.rate + off, 2) for off in REPEAT_RATES_OFF]
+        rates = tuple(rate for rate in RATES if rate == 1.0 or rate in near)
+        for first in like_places(self.index.coarse[best.track], values, REPEATS).tolist():
+            fit = self._aligner.align(heard, best.track, first, REPEAT_SEARCH, rates)
+            if abs(fit.tau_s - best.tau_s) >= REPEAT_APART_S:
+                found[-1 - len(found)] = fit  # no place of the scan
 
     def _fit(self, heard: Heard, place: int, rates: tuple[float, ...] = RATES) -> Fit:
         """Align finely around a coarse place."""
