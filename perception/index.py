@@ -13,6 +13,7 @@ import numpy.typing as npt
 from downbeat.perception import features as ft
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
+from downbeat.perception.passages import Passage, shared_among
 
 if TYPE_CHECKING:
     from downbeat.perception.codes import CodeTable
@@ -125,6 +126,7 @@ class Index:
         sources: Per track the digest of the file that it was made of; empty: not of a file.
         landmarks: Per track (m, 2) uint32 (landmarks.py); of the last tracks perhaps not made yet.
         codes: Inverted index of all tracks, for large catalogues; None: not made yet.
+        shared: Passages that two tracks share; None: nobody looked.
     """
 
     names: list[str] = field(default_factory=list)
@@ -134,6 +136,7 @@ class Index:
     sources: list[str] = field(default_factory=list)
     landmarks: Sequence[Landmarks] = field(default_factory=list)
     codes: CodeTable | None = None
+    shared: tuple[Passage, ...] | None = None
 
     def add(self, name: str, samples: F32, sample_rate_hz: int, source: str = "") -> None:
         """Index one track.
@@ -160,7 +163,11 @@ class Index:
             [self.power[i] for i in numbers],
             [self.sources[i] for i in numbers],
             [self.landmarks[i] for i in numbers] if len(self.landmarks) == len(self.names) else [],
+            shared=self._shared_among([self.names[i] for i in numbers]),
         )
+
+    def _shared_among(self, names: Sequence[str]) -> tuple[Passage, ...] | None:
+        return None if self.shared is None else shared_among(self.shared, names)
 
     def all_landmarks(self) -> Sequence[Landmarks]:
         """Return the landmarks of all tracks; those that are missing are made."""

@@ -27,6 +27,7 @@ from downbeat.perception.candidates import MAX_SCANNED_TRACKS
 from downbeat.perception.codes import CodeTable, make_code_table
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import Array, Index, Parts
+from downbeat.perception.passages import Passage
 
 MAGIC = b"downbeat index\n\x1a"
 VERSION = 3
@@ -118,7 +119,13 @@ def _write(index: Index, file: BinaryIO) -> None:
         sections[name], _ = _write_section(file, parts, kind, shape)
     counts = [len(found) for found in landmarks]
     tracks = [list(row) for row in zip(index.names, index.sources, frames, counts, checks)]
-    table = json.dumps({"tracks": tracks, "sections": sections}, ensure_ascii=False).encode()
+    whole = {"tracks": tracks, "sections": sections}
+    if index.shared is not None:
+        number = {name: k for k, name in enumerate(index.names)}
+        whole["shared"] = [
+            [number[p.one], p.one_s, number[p.other], p.other_s, p.seconds] for p in index.shared
+        ]
+    table = json.dumps(whole, ensure_ascii=False).encode()
     at = file.tell()
     file.write(table)
     head = HEAD.pack(
@@ -209,6 +216,17 @@ def _map(data: mmap.mmap | bytes, table: dict[str, Any], path: Path) -> Index:
         sources,
         Parts(sections["landmarks"], counts),
         codes if len(codes.starts) else None,
+        _shared(table, names),
+    )
+
+
+def _shared(table: dict[str, Any], names: Sequence[str]) -> tuple[Passage, ...] | None:
+    """Return what tracks share; None of an index that was made before anybody looked."""
+    if "shared" not in table:
+        return None
+    return tuple(
+        Passage(names[one], one_s, names[other], other_s, seconds)
+        for one, one_s, other, other_s, seconds in table["shared"]
     )
 
 

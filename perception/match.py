@@ -25,6 +25,9 @@ class MatchResult:
         runner_up_confidence: Its raw correlation.
         votes: Frames compared.
         repeats: Other positions in the same track that fit nearly as well [s], best first.
+        twins: Other tracks that share the passage and fit nearly as well, (track, where the window
+            starts there [s]): the window alone cannot tell them apart, and is not accepted.
+            `confidence` then says how sure it is that it is one of them.
     """
 
     track: str = ""
@@ -38,6 +41,7 @@ class MatchResult:
     runner_up_confidence: float = 0.0
     votes: int = 0
     repeats: tuple[float, ...] = ()
+    twins: tuple[tuple[str, float], ...] = ()
 
 
 class MusicMatcher(Protocol):

@@ -20,6 +20,7 @@ from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, SILENT_PEAK, Index
 from downbeat.perception.match import MatchResult, MusicMatcher
+from downbeat.perception.passages import Twins
 from downbeat.perception.repeats import like_places
 
 __all__ = ["AlignmentMatcher", "MatchResult", "MusicMatcher", "threshold"]
@@ -43,6 +44,9 @@ RUNNER_UP_SHARE = 0.8
 SPREAD_FLOOR = 1e-3
 REPEAT_SHARE, REPEAT_APART_S = 0.95, 0.25
 """A place counts as a repeat if it reaches this share of the best similarity."""
+TWIN_SHARE = 0.95
+"""A track that shares the passage and reaches this share is its twin: the same recording reaches
+0.97 in any noise. What fits less is a rival like any other."""
 INFORMATION = 0.5
 """Mean square of features rich in notes, of query and place together; what is poorer is alike by
 chance and must pay by the square root."""
@@ -107,6 +111,7 @@ class AlignmentMatcher:
         if not self.index.names:
             raise PerceptionError("The index holds no track; `add` at least one before a query.")
         self._scan, self._aligner = prepare(self.index, self._max_scanned_tracks)
+        self._twins = Twins(self.index.names, self.index.shared or ())
         self._ready = True
 
     def save(self, path: Path) -> None:
@@ -213,28 +218,40 @@ class AlignmentMatcher:
         best = next((fit for fit in fits if fit.track < len(self.names)), None)
         if best is None:
             return MatchResult(votes=len(values))
-        other = next((fit for fit in fits if fit.track != best.track), None)
+        seconds = len(values) * ft.HOP_S
+        twins = self._twins_of(best, seconds, fits)
+        alike = {best.track, *(fit.track for fit in twins)}
+        other = next((fit for fit in fits if fit.track not in alike), None)
         second = 0.0 if other is None else other.similarity
         information = float(np.sqrt((values**2).mean() * best.information))
         rich = min(information / INFORMATION, 1.0) ** 0.5
         margin = best.similarity - RUNNER_UP_SHARE * second
         score = margin / (chance + SPREAD_FLOOR) * rich
         score -= RATE_PENALTY * abs(best.rate - 1.0)
-        seconds = len(values) * ft.HOP_S
         is_track = other is not None and other.track < len(self.names)
         return MatchResult(
             track=self.names[best.track],
             tau_s=best.tau_s,
             rate=best.rate,
             confidence=score,
-            accepted=score > threshold(seconds),
+            accepted=score > threshold(seconds) and not twins,
             doubtful=score <= threshold(seconds, LOCK_THRESHOLDS),
             similarity=best.similarity,
             runner_up=self.names[other.track] if other is not None and is_track else "",
             runner_up_confidence=second,
             votes=len(values),
             repeats=_repeats(best, fits),
+            twins=tuple((self.names[fit.track], fit.tau_s) for fit in twins),
         )
+
+    def _twins_of(self, best: Fit, seconds: float, fits: list[Fit]) -> list[Fit]:
+        """Return the best fits of tracks that share this passage, where they fit nearly as well."""
+        twins: dict[int, Fit] = {}
+        for number in self._twins.of(best.track, best.tau_s, seconds):
+            fit = next((fit for fit in fits if fit.track == number), None)
+            if fit is not None and fit.similarity >= TWIN_SHARE * best.similarity:
+                twins[number] = fit
+        return sorted(twins.values(), reverse=True)
 
 
 def _sorted(found: dict[int, Fit]) -> list[Fit]:

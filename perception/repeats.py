@@ -1,4 +1,4 @@
-"""Where else in its track a window may lie: the coarse scan once more, of one track, twice as dense.
+"""Where else in its track a window may lie: the coarse scan of one track, twice as dense.
 
 The scan of everything stands on a grid of 160 ms, and a window between two of its places loses
 more than the difference of two repeats of a riff: the true one may be behind a dozen others.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from downbeat.perception.alignment import MAX_WIDTH, QUIET_SHARE, I64
+from downbeat.perception.alignment import I64, MAX_WIDTH, QUIET_SHARE
 from downbeat.perception.features import F32
 from downbeat.perception.index import FINE_PER_COARSE, QUANTUM, Coarse
 from downbeat.perception.index import coarse as coarse_of

@@ -27,10 +27,10 @@ what was in doubt must be surer."""
 NOISY_USUAL, NOISY_SIMILARITY, NOISY_CHECK_S = 0.5, 0.15, 2.0
 """A lock used to less is one in noise: a second may fall short of the floor there, two do not; a
 second of something else falls below the second figure."""
-DIP_USUAL, DIP_SIMILARITY, DIP_CHECK_S = 0.7, 0.16, 3.0
-"""A weak second of a lock used to less than the first figure may be a dip: three seconds tell. Those
-of a wrong place stay below 0.09 in 99 of 100, and a second and a half after a cut they have fallen
-below the share of `HOLD_SHARE`."""
+DIP_USUAL, DIP_CHECK_S, DIP_SIMILARITY, DIP_SHARE = 0.7, 3.0, 0.13, 0.45
+"""A weak second of a lock used to less than the first figure may be a dip: three seconds tell.
+Those of a wrong place stay below 0.09 in 99 of 100, and 1.7 s after a cut they have fallen below
+this share of what the lock has been used to."""
 HOLD_SHARE = 0.6
 """Or a fall to this share of what the lock has been used to."""
 REGAIN_SHARE = 0.75
@@ -66,19 +66,22 @@ DRIFT = 0.002
 
 @dataclass(slots=True)
 class Rival:
-    """Another repeat of the passage.
+    """Another repeat of the passage, or another track that shares it.
 
     Attributes:
+        track: Name.
         offset_s: Where it stands, after the place of the lock [s].
         evidence: How much less it fits, summed over hops.
     """
 
+    track: str
     offset_s: float
     evidence: float = 0.0
 
 
 def _is_sure(result: MatchResult) -> bool:
-    return result.accepted and not result.doubtful
+    """Say whether a search is enough for a lock, or for a place among twins."""
+    return (result.accepted or bool(result.twins)) and not result.doubtful
 
 
 class Tracker:
@@ -110,20 +113,23 @@ class Tracker:
             state = self._search(ring, now) if audible else TrackState()
         elif audible:
             state = self._check(ring, now, place)
-        elif now - self._last_good_utime > PAUSE_US:
+        elif now - self._last_held_utime > PAUSE_US:
             state = TrackState()
         else:  # a pause speaks neither for nor against the lock
             self._paused_us += now - self._now
             state = replace(self.state, result=None)
         if state.place is not None:
             std_s, ambiguous = self._std_s(now), bool(self._rivals)
-            state = replace(state, tau_std_s=std_s, ambiguous=ambiguous)
+            # Which track it is must be known; which repeat of it need not.
+            is_known = self._is_one_track(state.track)
+            lock = state.lock if is_known else min(state.lock, Lock.CANDIDATE)
+            state = replace(state, lock=lock, tau_std_s=std_s, ambiguous=ambiguous)
         self.state, self._now = state, now
         return state
 
     def _std_s(self, now: int) -> float:
         """Return the uncertainty of the position [s]; it grows while nothing can be checked."""
-        drift_s = DRIFT * (now - self._last_good_utime) * 1e-6
+        drift_s = DRIFT * (now - self._last_held_utime) * 1e-6
         floor_s = STD_FLOOR_S + BLUR_S * (1.0 - self._usual)
         return math.sqrt(SLIP_SHARE * self._slip + floor_s**2) + drift_s
 
@@ -140,7 +146,7 @@ class Tracker:
             is_held = longer >= max(floor, share * self._usual)
         if is_held:
             is_young = now - self._locked_since_utime <= SETTLING_US
-            elapsed_s = 0.0 if is_young else (now - self._last_good_utime) * 1e-6
+            elapsed_s = 0.0 if is_young else (now - self._last_held_utime) * 1e-6
             self._bad_hops = self._paused_us = 0
             self._last_good_utime = self._last_held_utime = now
             self._usual += USUAL_GAIN * (similarity - self._usual)
@@ -153,7 +159,8 @@ class Tracker:
         if found is not None:
             return found
         dip = self._dip(ring, now, place)
-        if dip is not None:
+        if dip is not None:  # or another repeat goes on as what is heard
+            dip = self._outdone(ring, now, dip, similarity)
             return TrackState(Lock.LOCKED, dip, similarity)
         if self._bad_hops >= DROP_AFTER_HOPS:
             if similarity >= SURE_SIMILARITY:
@@ -170,7 +177,7 @@ class Tracker:
         if self._usual >= DIP_USUAL:
             return None
         longer, correction_s = self._compare(ring, now, place, DIP_CHECK_S)
-        if longer < max(DIP_SIMILARITY, HOLD_SHARE * self._usual):
+        if longer < max(DIP_SIMILARITY, DIP_SHARE * self._usual):
             return None
         self._last_held_utime = now
         return place.corrected(correction_s, now, 0.0)
@@ -178,7 +185,7 @@ class Tracker:
     def _outdone(self, ring: Ring, now: int, held: Place, similarity: float) -> Place:
         """Compare the newest sound with the other repeats; return the one that it speaks for."""
         for rival in self._rivals:
-            place = replace(held, tau_s=held.tau_s + rival.offset_s)
+            place = replace(held, track=rival.track, tau_s=held.tau_s + rival.offset_s)
             rival.evidence += similarity - self._compare(ring, now, place, CHECK_S)[0]
         self._rivals = [r for r in self._rivals if r.evidence < RIVAL_EVIDENCE]
         best = min(self._rivals, key=lambda r: r.evidence, default=None)
@@ -186,12 +193,15 @@ class Tracker:
             return held
         # From now on the others are measured against the new place.
         rest = [
-            Rival(r.offset_s - best.offset_s, r.evidence - best.evidence)
+            Rival(r.track, r.offset_s - best.offset_s, r.evidence - best.evidence)
             for r in self._rivals
             if r is not best
         ]
         self._rivals = [r for r in rest if r.evidence < RIVAL_EVIDENCE]
-        return replace(held, tau_s=held.tau_s + best.offset_s)
+        return replace(held, track=best.track, tau_s=held.tau_s + best.offset_s)
+
+    def _is_one_track(self, track: str) -> bool:
+        return all(rival.track == track for rival in self._rivals)
 
     def _coast_us(self) -> int:
         """Return how long a lock outlives its last good check: somebody talks, applause, a break.
@@ -226,6 +236,8 @@ class Tracker:
             return held
         result, found = self._query(ring, now, seconds)
         doubt, self._doubt = self._doubt, None
+        if result.accepted and _is_sure(result) and not self._is_one_track(held.track):
+            return self._lock_on(result, found, now)  # longer, the window tells twins apart
         if not result.accepted or found.track != held.track or held.place.is_near(found):
             return held
         own, _ = self._compare(ring, now, held.place, seconds)
@@ -272,6 +284,7 @@ class Tracker:
         self._usual = result.similarity
         self._doubt = None
         self._slip = LOCK_STD_S**2 / SLIP_SHARE
-        self._rivals = [Rival(tau_s - result.tau_s) for tau_s in result.repeats[:RIVALS]]
+        others = [*result.twins, *((result.track, tau_s) for tau_s in result.repeats)]
+        self._rivals = [Rival(name, tau_s - result.tau_s) for name, tau_s in others[:RIVALS]]
         place = replace(found, tau_s=found.at(now), utime=now)
         return TrackState(Lock.LOCKED, place, result.similarity, result)

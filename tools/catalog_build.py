@@ -14,8 +14,10 @@ from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.tracks import Track, load_track
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import Index
+from downbeat.perception.passages import shared_among
 from downbeat.perception.source import audio_files, load_recording
 from downbeat.tools.errors import ToolError
+from downbeat.tools.passages import update_passages
 from downbeat.tools.recordings import INDEX_NAME, Say, cached_grid, choose_skills, write_track
 
 REMOVED_SUFFIX = ".removed"
@@ -120,7 +122,9 @@ def update_catalog(
         raise PerceptionError(f"{audio} holds no recording that can be used: {changes.left_out[0]}")
     changes.dropped = sorted(set(known) - seen)
     index = join_tracks({**_tracks(old, changes.kept), **_tracks(analysed.index, changes.made)})
-    if not changes.is_empty or not (out / INDEX_NAME).is_file():
+    index.shared = old.shared
+    if not changes.is_empty or old.shared is None or not (out / INDEX_NAME).is_file():
+        index.shared = update_passages(index, changes.made)
         _write_tracks(out, analysed, skills, seed)
         index.save(out / INDEX_NAME)
         for name in changes.dropped:
@@ -151,6 +155,8 @@ def add_track(
     analysed.add(audio, digest, say)
     kept = [name for name in old.names if name != audio.stem]
     index = join_tracks({**_tracks(old, kept), **_tracks(analysed.index, [audio.stem])})
+    index.shared = old.shared
+    index.shared = update_passages(index, [audio.stem])
     if where.is_dir():
         _write_tracks(where, analysed, skills, seed)
     index.save(path)
@@ -173,6 +179,7 @@ def remove_track(where: Path, name: str) -> tuple[Index, Changes]:
     if not kept:
         raise ToolError(f"'{name}' is the only track of {path}; delete the catalogue instead.")
     index = join_tracks(_tracks(old, kept))
+    index.shared = None if old.shared is None else shared_among(old.shared, kept)
     index.save(path)
     if where.is_dir():
         _put_aside(where, name)

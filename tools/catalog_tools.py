@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import dance_names, say
 from downbeat.tools.recordings import INDEX_NAME
 
+MOST_NAMED = 20
 MATCHERS: dict[str, type[AlignmentMatcher] | type[ConstellationMatcher]] = {
     "alignment": AlignmentMatcher,
     "constellation": ConstellationMatcher,
@@ -43,13 +45,14 @@ def build(audio: Path, out: Path, seed: int, clap: Path | None = None) -> int:
     update_likeness(out / INDEX_NAME, index.names, changes.made, files, embedder, say)
     for reason in changes.left_out:
         say(f"left out: {reason}")
-    for one, other in find_duplicates(index):
+    duplicates = find_duplicates(index)
+    for one, other in duplicates:
         print(
             f"'{one}' and '{other}' hold the same recording: a listener cannot tell them apart; "
             "take one of them out."
         )
     print(f"{out}: {_summary(index, changes)}; give them sections in their TOML files")
-    return show(out)
+    return show(out, duplicates)
 
 
 def add(where: Path, audio: Path, seed: int) -> int:
@@ -57,9 +60,12 @@ def add(where: Path, audio: Path, seed: int) -> int:
     index, changes = add_track(where, audio, dance_names(), seed, say)
     files = {audio.stem: audio}
     update_likeness(index_path(where), index.names, changes.made, files, choose_embedder(None), say)
-    for one, other in find_duplicates(index) if changes.made else ():
+    duplicates = find_duplicates(index) if changes.made else []
+    for one, other in duplicates:
         if audio.stem in (one, other):
             print(f"'{one}' and '{other}' hold the same recording; take one of them out.")
+    if changes.made:
+        _say_shared(index, duplicates, audio.stem)
     print(f"{where}: {_summary(index, changes)}")
     return 0
 
@@ -70,6 +76,20 @@ def remove(where: Path, name: str) -> int:
     update_likeness(index_path(where), index.names, (), {}, choose_embedder(None), say)
     print(f"{where}: {_summary(index, changes)}")
     return 0
+
+
+def _say_shared(index: Index, duplicates: Sequence[tuple[str, str]] = (), about: str = "") -> None:
+    """Name passages that two tracks share; copies are named as such."""
+    named = [
+        passage
+        for passage in index.shared or ()
+        if (passage.one, passage.other) not in duplicates
+        and about in ("", passage.one, passage.other)
+    ]
+    for passage in named[:MOST_NAMED]:
+        print(f"{passage.text()}: a listener waits there for what tells them apart.")
+    if len(named) > MOST_NAMED:
+        print(f"... and {len(named) - MOST_NAMED} more passages that two tracks share.")
 
 
 def _summary(index: Index, changes: Changes) -> str:
@@ -117,8 +137,8 @@ def _plain(value: object) -> object:
     return round(float(value), 4) if isinstance(value, float) else value
 
 
-def show(catalog: Path | None) -> int:
-    """Print tracks and their sections."""
+def show(catalog: Path | None, duplicates: Sequence[tuple[str, str]] = ()) -> int:
+    """Print tracks, their sections, and the passages that two share, without pairs of copies."""
     table = Table("track", "tempo", "from", "to", "section", "skill")
     for track in load_tracks(catalog or BUNDLED_TRACKS).values():
         tempo = f"{track.grid.tempo_bpm:.1f}"
@@ -126,4 +146,6 @@ def show(catalog: Path | None) -> int:
         for rule in track.rules:
             table.add_row("", "", f"{rule.start_s:.2f}", f"{rule.end_s:.2f}", rule.name, rule.skill)
     Console().print(table)
+    if catalog is not None and (catalog / INDEX_NAME).is_file():
+        _say_shared(Index.load(catalog / INDEX_NAME), duplicates)
     return 0

@@ -65,6 +65,7 @@ from downbeat.tools.composer.store import composed_recording
 from downbeat.tools.conditions import degradations
 from downbeat.tools.errors import ToolError
 from downbeat.tools.matcher_sounds import load_folder, make_babble, synthetic_sounds
+from downbeat.tools.passages import find_passages
 from downbeat.tools.rundir import CACHE_DIR
 
 COMPOSED = CACHE_DIR / "tracks"
@@ -142,6 +143,7 @@ class ChunkStudy:
         self.report = ChunkReport(catalogue=len(self.recordings))
         begin = time.process_time()
         self.index = make_index(self.recordings.values())
+        self.index.shared = find_passages(self.index)
         self.report.index_s = time.process_time() - begin
         self.report.index_bytes = sum(fine.nbytes for fine in self.index.fine)
         self.report.minutes = sum(r.duration_s for r in self.recordings.values()) / 60.0
