@@ -1,4 +1,4 @@
-"""The conductor process: the conductor's logic on the bus, 20 times a second."""
+"""The conductor process: the conductor's logic on the bus, 50 times a second."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from downbeat.runtime.bus import Bus
 
 
 class ConductorNode:
-    """Node "conductor", 20 Hz."""
+    """Node "conductor", 50 Hz."""
 
     name = "conductor"
-    period_us = 50_000
+    period_us = 20_000
 
     def __init__(self, bus: Bus, conductor: Conductor, known_tracks: frozenset[str]) -> None:
         """Wire the process.

@@ -1,66 +1,29 @@
 """From a transcript to what is wanted: a skill, a stop, an answer, or nothing.
 
 Stop words and the form of the sentence come first (`grounding_rules`), numbers next
-(`grounding_numbers`); only requests are matched with the skills, by meaning where a sentence model
-is there, and by their letters always. What people talk about otherwise (`grounding_talk`) competes
-with the skills, because no single threshold tells a paraphrase from small talk.
+(`grounding_numbers`). What is wanted is learned for the bundled skills (`intent_model`). Skills
+that were not learned, and all where the model is missing, are found among requests, by meaning
+where a sentence model is there, and by their letters always; what people talk about otherwise
+(`grounding_talk`) competes with them, because no single threshold tells a paraphrase from talk.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import dataclass
 from typing import Protocol
 
 from downbeat.perception.features import F32
 from downbeat.perception.grounding_examples import EXAMPLES
+from downbeat.perception.grounding_learned import Judge, Learned
 from downbeat.perception.grounding_misheard import Misheard, phrase_likeness
 from downbeat.perception.grounding_numbers import Parameters, parameters
 from downbeat.perception.grounding_rules import Clause, Form, clauses, is_address, plain
 from downbeat.perception.grounding_sounds import OTHER_NAMES, SoundsLike
 from downbeat.perception.grounding_talk import TALK
+from downbeat.perception.intent import Intent, IntentKind
 from downbeat.policies.manifest_types import SkillManifest
-
-
-class IntentKind(Enum):
-    """What an utterance wants."""
-
-    NONE = "none"
-    """Nothing was said."""
-    STOP = "stop"
-    """Stand, at once."""
-    SKILL = "skill"
-    AGAIN = "again"
-    """What was done before, once more."""
-    TEMPO = "tempo"
-    """The same, faster or slower."""
-    RESUME = "resume"
-    """Dance to the music again, after a stop."""
-    CHAT = "chat"
-    """No command: answer it."""
-
-
-@dataclass(frozen=True)
-class Intent:
-    """What an utterance wants.
-
-    Attributes:
-        kind: What to do.
-        skill: Of SKILL: its name; of a forbidding STOP: what is forbidden; else empty.
-        score: Closeness to that skill, 0 to 1.
-        margin: Distance to the second skill or to small talk, whichever is closer.
-        parameters: Numbers in the request.
-        negated: Something was forbidden.
-    """
-
-    kind: IntentKind
-    skill: str = ""
-    score: float = 0.0
-    margin: float = 0.0
-    parameters: Parameters = field(default_factory=Parameters)
-    negated: bool = False
 
 
 class Embedder(Protocol):
@@ -136,6 +99,7 @@ class Grounder:
         skills: Mapping[str, SkillManifest],
         model: Embedder | None,
         thresholds: Thresholds | None = None,
+        intents: Judge | None = None,
     ) -> None:
         """Embed what the skills are called and look like; 0.5 s.
 
@@ -143,6 +107,7 @@ class Grounder:
             skills: By name; `NOT_BY_VOICE` are left out.
             model: None: letters only, which understands the phrases themselves and little more.
             thresholds: None: those found on the tuning half.
+            intents: What was learned of the bundled skills; None: nothing.
         """
         self._limits = thresholds or Thresholds()
         self._model = model
@@ -164,6 +129,11 @@ class Grounder:
         self._misheard = Misheard((text for text, _ in self._phrases), knows)
         listened = {text: name for text, name in self._exact.items() if name != STAND}
         self._sounds = SoundsLike(listened, OTHER_NAMES)
+        named = set(skills) - NOT_BY_VOICE
+        self._learned = Learned(intents, named, self._mended) if intents is not None else None
+        self._unheard = named - {STAND} - set(intents.classes if intents is not None else ())
+        if self._learned is not None and not self._unheard:
+            return  # nothing is left to be found by likeness
         if model is not None:
             self._vectors = model.embed([text for text, _ in texts])
             self._talk = model.embed([asked(text) for text in TALK])
@@ -184,8 +154,22 @@ class Grounder:
         for clause in found:
             if clause.form is Form.NEGATED:
                 forbidden = forbidden or self._forbidden(clause)
-        best = Intent(IntentKind.CHAT)
         numbers, _ = parameters(_spoken(text))
+        if self._learned is None:
+            best = self._alike(found, numbers)
+        else:
+            best = self._alike(found, numbers) if self._unheard else Intent(IntentKind.CHAT)
+            if best.skill not in self._unheard:
+                best = self._learned.intent(text, found, numbers)
+        if forbidden and best.skill == forbidden.skill:
+            best = Intent(IntentKind.CHAT)
+        if forbidden and best.kind is IntentKind.CHAT:
+            return forbidden
+        return best
+
+    def _alike(self, found: Sequence[Clause], numbers: Parameters) -> Intent:
+        """Return what the requests among the clauses are most like."""
+        best = Intent(IntentKind.CHAT)
         for before, clause in zip([None, *found], found, strict=False):
             if clause.form not in (Form.REQUEST, Form.BARE):
                 continue
@@ -194,17 +178,21 @@ class Grounder:
             intent = self._wanted(clause, numbers)
             if intent.kind is not IntentKind.CHAT and intent.score > best.score:
                 best = intent
-        if forbidden and best.skill == forbidden.skill:
-            best = Intent(IntentKind.CHAT)
-        if forbidden and best.kind is IntentKind.CHAT:
-            return forbidden
         return best
+
+    def _mended(self, clause: Clause) -> str:
+        """Return the text of a clause with the names that were probably said."""
+        rest = parameters(clause.text)[1] or clause.text
+        return self._misheard.mend(self._sounds.mend(rest, clause.form is Form.REQUEST))
 
     def _forbidden(self, clause: Clause) -> Intent | None:
         """Read "don't dance" as a stop: of everything, or of the skill that it names."""
-        skill, score, _, talk = self._closest(clause.text)
-        if talk >= 0.0 and score >= self._limits.request:
-            return Intent(IntentKind.STOP, skill, score, negated=True)
+        if self._learned is not None and (named := self._learned.named(clause.text)):
+            return Intent(IntentKind.STOP, named, 1.0, negated=True)
+        if self._learned is None or self._unheard:
+            skill, score, _, talk = self._closest(clause.text)
+            if talk >= 0.0 and score >= self._limits.request:
+                return Intent(IntentKind.STOP, skill, score, negated=True)
         if _MOVES.search(clause.text):
             return Intent(IntentKind.STOP, negated=True, score=1.0)
         return None

@@ -39,11 +39,14 @@ class _Graph:
         return name
 
 
-def bert_graph(weights: Mapping[str, npt.NDArray[np.float32]]) -> bytes:
+def bert_graph(
+    weights: Mapping[str, npt.NDArray[np.float32]], head_dim: int = HEAD_DIM
+) -> bytes:
     """Return the serialised model: `ids` int64 (n, t), `mask` float32 (n, t) -> units (n, dim).
 
     Args:
         weights: Names as in Hugging Face's BertModel.
+        head_dim: Size of an attention head.
     """
     g = _Graph()
     words = g.op("Gather", g.const(weights["embeddings.word_embeddings.weight"]), "ids")
@@ -60,7 +63,7 @@ def bert_graph(weights: Mapping[str, npt.NDArray[np.float32]]) -> bytes:
     bias = g.op("Unsqueeze", hidden, g.const([1, 2], np.int64))  # (n, 1, 1, t)
     layer = 0
     while f"encoder.layer.{layer}.output.dense.weight" in weights:
-        x = _layer(g, x, bias, weights, f"encoder.layer.{layer}.")
+        x = _layer(g, x, bias, weights, f"encoder.layer.{layer}.", head_dim)
         layer += 1
     weight = g.op("Unsqueeze", "mask", g.const([2], np.int64))  # (n, t, 1)
     total = g.op("ReduceSum", g.op("Mul", x, weight), g.const([1], np.int64), keepdims=0)
@@ -95,15 +98,17 @@ def _norm(g: _Graph, x: str, weights: Mapping[str, Any], name: str) -> str:
     return g.op("LayerNormalization", x, gain, shift, epsilon=LAYER_NORM_EPS)
 
 
-def _layer(g: _Graph, x: str, bias: str, weights: Mapping[str, Any], at: str) -> str:
-    split = g.const([0, 0, -1, HEAD_DIM], np.int64)
+def _layer(
+    g: _Graph, x: str, bias: str, weights: Mapping[str, Any], at: str, head_dim: int
+) -> str:
+    split = g.const([0, 0, -1, head_dim], np.int64)
 
     def heads(name: str, perm: list[int]) -> str:
         value = _linear(g, x, weights, f"{at}attention.self.{name}")
         return g.op("Transpose", g.op("Reshape", value, split), perm=perm)
 
     query, key = heads("query", [0, 2, 1, 3]), heads("key", [0, 2, 3, 1])
-    scores = g.op("Mul", g.op("MatMul", query, key), g.const(1.0 / math.sqrt(HEAD_DIM)))
+    scores = g.op("Mul", g.op("MatMul", query, key), g.const(1.0 / math.sqrt(head_dim)))
     attention = g.op("Softmax", g.op("Add", scores, bias), axis=-1)
     mixed = g.op("MatMul", attention, heads("value", [0, 2, 1, 3]))
     joined = g.op(

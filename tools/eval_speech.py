@@ -15,7 +15,7 @@ from rich.table import Table
 
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.grounding import STAND, Grounder, Intent, IntentKind
-from downbeat.perception.sentence_model import SentenceModel
+from downbeat.perception.intent_model import IntentModel
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.errors import ToolError
 
@@ -52,7 +52,7 @@ class SpeechScore:
         negation_errors: Forbidden things that were done.
         commands, chats, negations: How many of each.
         p50_ms, p95_ms: Time per utterance on one core [ms].
-        backend: "minilm" or "letters".
+        backend: "learned" or "letters".
         wrong: What went wrong: [expected, found, text].
     """
 
@@ -140,13 +140,14 @@ def score(grounder: Grounder, utterances: Iterable[Utterance], backend: str) -> 
 
 def open_grounder(letters_only: bool) -> tuple[Grounder, str]:
     """Return a grounder over the bundled skills, and which backend it has."""
-    model = None
+    skills = load_skills()
     if not letters_only:
         try:
-            model = SentenceModel()
+            intents = IntentModel()
+            return Grounder(skills, intents, intents=intents), "learned"
         except PerceptionError as error:
             Console(stderr=True).print(f"{error} Letters only, for now.")
-    return Grounder(load_skills(), model), "letters" if model is None else "minilm"
+    return Grounder(skills, None), "letters"
 
 
 def eval_speech(path: Path, half: str, letters_only: bool, as_json: bool) -> int:

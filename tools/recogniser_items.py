@@ -12,7 +12,7 @@ import soundfile
 import soxr
 
 from downbeat.perception.features import F32
-from downbeat.perception.grounding import NOT_BY_VOICE, STAND, Grounder, IntentKind
+from downbeat.perception.grounding import NOT_BY_VOICE, STAND, IntentKind
 from downbeat.perception.recogniser_grammar import STOP_WORDS, plain
 from downbeat.perception.recogniser_network import STOP
 from downbeat.perception.reply_table import QUESTIONS
@@ -20,7 +20,7 @@ from downbeat.perception.speech_config import SpeechConfig
 from downbeat.policies.manifest import load_skills
 from downbeat.tools import recogniser_sentences as said
 from downbeat.tools.errors import ToolError
-from downbeat.tools.speech_parts import sentence_model
+from downbeat.tools.speech_parts import make_grounder
 
 RATE_HZ = 16_000
 PAD_S = 0.25
@@ -50,7 +50,7 @@ class Understanding:
 
     def __init__(self) -> None:
         """Load the sentence model, where there is one."""
-        self._grounder = Grounder(load_skills(), sentence_model(SpeechConfig()))
+        self._grounder = make_grounder(SpeechConfig(), load_skills())
         self._known: dict[str, str] = {"": ""}
 
     def __call__(self, text: str) -> str:

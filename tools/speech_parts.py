@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from downbeat.perception.errors import PerceptionError
-from downbeat.perception.grounding import NOT_BY_VOICE, Grounder
+from downbeat.perception.grounding import NOT_BY_VOICE, STAND, Grounder
+from downbeat.perception.intent_model import IntentModel
 from downbeat.perception.recognisers import make_recogniser
 from downbeat.perception.reply_table import QUESTIONS
 from downbeat.perception.segments import SegmentConfig, Segmenter
@@ -52,7 +53,7 @@ def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears
     return Ears(
         Segmenter(Vad(), segments_of(config)),
         make_recogniser(config.recogniser, said, os.environ),
-        Grounder(allowed, sentence_model(config)),
+        make_grounder(config, allowed),
         make_conversation(config.chat, os.environ),
         make_voice(config.voice, os.environ),
     )
@@ -78,18 +79,46 @@ def segments_of(config: SpeechConfig) -> SegmentConfig:
     return replace(config.segments, early_s=EARLY_S)
 
 
-def sentence_model(config: SpeechConfig) -> SentenceModel | None:
-    """Return the sentence model; None where the recogniser only hears known phrases anyway.
+def make_grounder(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Grounder:
+    """Return what understands sentences about these skills.
+
+    The embedded model knows the bundled skills; another sentence model, or none, and skills of
+    somebody else are understood by likeness.
 
     Raises:
-        PerceptionError: A free recogniser was asked for, and the model is missing.
+        PerceptionError: The sentence model that the configuration names cannot be had, or a free
+            recogniser was asked for and there is none at all.
     """
+    if config.sentence_model:
+        return Grounder(skills, SentenceModel(hub_folder(config.sentence_model), None))
     try:
-        return SentenceModel()
+        intents = IntentModel()
+        is_all_learned = set(skills) <= {*intents.classes, *NOT_BY_VOICE, STAND}
+        return Grounder(skills, intents if is_all_learned else SentenceModel(), intents=intents)
     except PerceptionError:
         if config.recogniser.backend == "pocketsphinx":
-            return None
+            return Grounder(skills, None)  # it only hears known phrases anyway
         raise
+
+
+def hub_folder(name: str) -> Path:
+    """Return the folder of a model: itself, or a copy of what the hub has under that id.
+
+    Raises:
+        PerceptionError: It is no folder, and the hub has none, or is out of reach.
+    """
+    if Path(name).is_dir():
+        return Path(name)
+    try:
+        from huggingface_hub import snapshot_download
+
+        return Path(snapshot_download(name, allow_patterns=["*.json", "model.safetensors"]))
+    except Exception as error:  # whatever the hub, the network or the disk do
+        raise PerceptionError(
+            f"The sentence model '{name}' cannot be had ({type(error).__name__}: "
+            f"{str(error)[:120]}); give a folder, or an id of the hub where there is network "
+            "(speech.toml: sentence_model)."
+        ) from error
 
 
 def make_speaker(output: str, folder: Path, first_utime: int) -> Speaker | None:
