@@ -24,7 +24,7 @@ from downbeat.tools.matcher_sounds import load_folder
 
 BLOCK = 800
 """Samples handed over at once: 50 ms, as the listener does."""
-NEAR_S, CLOSE_S = 0.5, 0.1
+NEAR_S, CLOSE_S, ROUGH_S = 0.5, 0.1, 1.0
 LEVEL_DB = 6.0
 """Pieces are cut together at levels that differ by at most this much."""
 MIN_RMS = 0.003
@@ -39,7 +39,7 @@ class SectionScore:
     Attributes:
         cuts: In the sound.
         found: Of them, within 0.5 s.
-        close: Of them, within 0.1 s.
+        close, rough: Of the cuts, those found within 0.1 s, and within 1 s.
         told: Changes told.
         error_s, latency_s: Of the cuts found [s].
         seconds: Of sound.
@@ -48,6 +48,7 @@ class SectionScore:
     cuts: int = 0
     found: int = 0
     close: int = 0
+    rough: int = 0
     told: int = 0
     error_s: list[float] = field(default_factory=list)
     latency_s: list[float] = field(default_factory=list)
@@ -65,19 +66,15 @@ class SectionScore:
 
     def add(self, told: Sequence[tuple[float, float]], cuts_s: Sequence[float]) -> None:
         """Count one mashup; `told`: (where, when it was told) [s]."""
-        left = [t for t in told if t[0] > LEAD_S]
-        self.told += len(left)
+        counted = [t for t in told if t[0] > LEAD_S]
+        self.told += len(counted)
         self.cuts += len(cuts_s)
-        for cut in cuts_s:
-            near = [t for t in left if abs(t[0] - cut) <= NEAR_S]
-            if not near:
-                continue
-            where, when = min(near, key=lambda t: abs(t[0] - cut))
-            left.remove((where, when))
+        for cut, (where, when) in _matched(counted, cuts_s, NEAR_S):
             self.found += 1
             self.close += abs(where - cut) <= CLOSE_S
             self.error_s.append(abs(where - cut))
             self.latency_s.append(when - cut)
+        self.rough += len(_matched(counted, cuts_s, ROUGH_S))
 
     def text(self) -> str:
         """Return the score in a line."""
@@ -93,10 +90,38 @@ class SectionScore:
             "cuts": self.cuts,
             "told": self.told,
             "recall": round(self.recall, 4),
+            "recall_95": interval(self.found, self.cuts),
             "precision": round(self.precision, 4),
+            "precision_95": interval(self.found, self.told),
             "within_0.1_s": round(self.close / max(self.cuts, 1), 4),
+            "within_1_s": round(self.rough / max(self.cuts, 1), 4),
             "latency_s": {"p50": round(float(p50), 2), "p95": round(float(p95), 2)},
         }
+
+
+def _matched(
+    told: Sequence[tuple[float, float]], cuts_s: Sequence[float], near_s: float
+) -> list[tuple[float, tuple[float, float]]]:
+    """Return (cut, what was told of it): the nearest, each only once."""
+    left, pairs = list(told), []
+    for cut in cuts_s:
+        near = [t for t in left if abs(t[0] - cut) <= near_s]
+        if near:
+            best = min(near, key=lambda t: abs(t[0] - cut))
+            left.remove(best)
+            pairs.append((cut, best))
+    return pairs
+
+
+def interval(count: int, total: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share (Wilson)."""
+    if not total:
+        return 0.0, 1.0
+    z, share = 1.96, count / total
+    middle = (share + z * z / (2 * total)) / (1.0 + z * z / total)
+    half = z * np.sqrt(share * (1.0 - share) / total + (z / (2.0 * total)) ** 2)
+    half /= 1.0 + z * z / total
+    return round(max(0.0, middle - half), 4), round(min(1.0, middle + half), 4)
 
 
 def sound_of(folder: Path) -> list[Recording]:
@@ -120,8 +145,17 @@ def mashup_of(
     seconds: float,
     section_s: tuple[float, float],
     rng: np.random.Generator,
+    fade_s: float = 0.0,
 ) -> tuple[F32, list[float]]:
-    """Return (samples at 16 kHz, cuts [s]): passages of tracks, no two alike in a row."""
+    """Return (samples at 16 kHz, cuts [s]): passages of tracks, no two alike in a row.
+
+    Args:
+        tracks: At 16 kHz.
+        seconds: Length, at least.
+        section_s: Shortest and longest section [s].
+        rng: Chooses tracks, passages and levels.
+        fade_s: Over which one section fades into the next [s]; the cut is in its middle.
+    """
     parts: list[F32] = []
     cuts: list[float] = []
     length, last = 0, -1
@@ -137,12 +171,22 @@ def mashup_of(
         if number == last or loud < MIN_RMS:
             continue
         if parts:
-            cuts.append(length / sf.RATE_HZ)
+            cuts.append(length / sf.RATE_HZ - 0.5 * fade_s)
         gain = 10.0 ** (float(rng.uniform(-LEVEL_DB, LEVEL_DB)) / 20.0)
-        parts.append(part * np.float32(gain))
-        length += count
+        part = part * np.float32(gain)
+        if parts and fade_s:
+            part = _fade(parts[-1], part, round(fade_s * sf.RATE_HZ))
+        parts.append(part)
+        length += len(part)
         last = number
     return np.concatenate(parts), cuts
+
+
+def _fade(before: F32, after: F32, count: int) -> F32:
+    """Fade the end of a section into the next, at equal power; returns what is left of that."""
+    rise = np.sqrt(np.linspace(0.0, 1.0, count, dtype=np.float32))
+    before[-count:] = before[-count:] * rise[::-1] + after[:count] * rise
+    return after[count:]
 
 
 def find_changes(sound: F32, weights: Weights | None = None) -> list[tuple[float, float]]:
@@ -158,7 +202,12 @@ def find_changes(sound: F32, weights: Weights | None = None) -> list[tuple[float
 
 
 def eval_sections(
-    folder: Path, section_s: tuple[float, ...], mashups: int, seed: int, as_json: bool
+    folder: Path,
+    section_s: tuple[float, ...],
+    mashups: int,
+    seed: int,
+    as_json: bool,
+    fade_s: float = 0.0,
 ) -> int:
     """Score mashups of a folder with sections of each length; 0."""
     tracks = sound_of(folder)
@@ -169,7 +218,7 @@ def eval_sections(
         numbers = range(mashups)
         for number in progress(numbers, f"{length_s:g} s", disable=as_json, transient=True):
             rng = np.random.default_rng([seed, number, round(length_s * 1000)])
-            sound, cuts = mashup_of(tracks, 6.0 * length_s, (length_s, length_s), rng)
+            sound, cuts = mashup_of(tracks, 6.0 * length_s, (length_s, length_s), rng, fade_s)
             begin = time.process_time()
             told = find_changes(sound)
             spent_s += time.process_time() - begin

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from downbeat.perception import section_features as sf
 from downbeat.perception.errors import PerceptionError
-from downbeat.perception.section_finder import SectionFinder, load_weights
+from downbeat.perception.section_context import AFTER, LAST, NUM_INPUTS, USUAL, Context, Tail
+from downbeat.perception.section_finder import MIN_PAST, PEAK, Picker, SectionFinder, load_weights
 from downbeat.tools.eval_sections import find_changes
 
 RATE = sf.RATE_HZ
@@ -64,12 +65,73 @@ def test_after_a_reset_nothing_of_before_counts():
     assert finder.hear(tune(370.0, 6.0, 0.33, 2), 20_000_000) is None
 
 
+def streamed(sound, size):
+    """Frames of a sound handed over in blocks, one by one."""
+    stream = sf.FrameStream()
+    return [f for at in range(0, len(sound), size) for f in stream.push(sound[at : at + size])]
+
+
 def test_frames_of_a_stream_are_those_of_the_whole():
     sound = NOISE[: RATE * 2]
-    whole = sf.FrameStream().push(sound)
-    stream = sf.FrameStream()
-    pieces = [f for at in range(0, len(sound), 333) for f in stream.push(sound[at : at + 333])]
-    assert np.array_equal(np.array(whole), np.array(pieces))
+    whole, pieces = sf.FrameStream().push(sound), streamed(sound, 333)
+    for part in ("long", "short", "fine"):
+        a, b = ([getattr(frame, part) for frame in frames] for frames in (whole, pieces))
+        assert np.array_equal(a, b)
+    (together,) = sf.FrameStream().push(sound, together=True)
+    assert np.abs(together.long - np.concatenate([f.long for f in whole])).max() < 1e-4
+
+
+def test_inputs_of_one_frame_at_a_time_are_those_of_many():
+    sound = np.concatenate([tune(220.0, 14.0, 0.5, 1), tune(370.0, 12.0, 0.33, 2)])
+    maps = load_weights().maps
+    (frames,) = sf.FrameStream().push(sound, together=True)
+    many = Context(maps).push(frames)
+    one = Context(maps)
+    rows = []
+    for k in range(len(frames)):
+        part = slice(k, k + 1)
+        rows.append(one.push(sf.Frames(frames.long[part], frames.short[part], frames.fine[part])))
+    assert many.shape == (len(frames) - AFTER, NUM_INPUTS)
+    assert np.isfinite(many).all()
+    assert np.abs(np.concatenate(rows) - many).max() < 1e-3
+
+
+def test_inputs_forget_what_is_older_than_they_look_back():
+    rng = np.random.default_rng(0)
+    count, back = 400, AFTER + USUAL + LAST
+    whole = sf.Frames(
+        rng.standard_normal((count, sf.NUM_LONG), dtype=np.float32),
+        rng.standard_normal((count, sf.NUM_SHORT, sf.SHORT_BANDS), dtype=np.float32),
+        rng.random((count, sf.NUM_FINE), dtype=np.float32),
+    )
+    maps = load_weights().maps
+    last = Context(maps).push(whole)[-1]
+    for changed, same in ((count - back - 1, True), (count - back + 40, False)):
+        other = sf.Frames(*(part.copy() for part in vars(whole).values()))
+        other.long[changed] += 3.0
+        assert np.array_equal(Context(maps).push(other)[-1], last) == same
+
+
+def test_a_tail_knows_its_rows_by_number():
+    tail = Tail(3)
+    for first in range(0, 10, 2):
+        tail.append(np.arange(first, first + 2)[:, None])
+    assert tail.end == 10
+    assert tail.at(np.array([[7, 8], [9, 9]]))[..., 0].tolist() == [[7, 8], [9, 9]]
+
+
+def test_the_most_likely_moment_is_picked_and_the_next_rests():
+    odds = np.full(MIN_PAST + 60, -5.0)
+    odds[5] = 9.0  # before there is enough of a past
+    odds[MIN_PAST + 10 : MIN_PAST + 13] = 1.0, 2.0, 1.5
+    odds[MIN_PAST + 30] = 3.0  # within three seconds
+    odds[MIN_PAST + 50] = 0.5
+    picker = Picker(0.25)
+    told = [(n, found) for n, one in enumerate(odds) if (found := picker.push(one))]
+    assert told == [
+        (MIN_PAST + 11 + PEAK, (MIN_PAST + 11, 1.75)),
+        (MIN_PAST + 50 + PEAK, (MIN_PAST + 50, 0.25)),
+    ]
 
 
 def test_a_higher_threshold_tells_less():

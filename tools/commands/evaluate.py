@@ -195,6 +195,8 @@ class Sections:
     """Mashups of six sections for each length."""
     seed: int = 0
     """Chooses tracks, passages and levels."""
+    fade_seconds: float = 0.0
+    """Over which a section fades into the next [s]; 0: a hard cut."""
     json: bool = False
     """Print the score as one JSON object on standard output."""
 
@@ -202,7 +204,14 @@ class Sections:
         """Run it; 0."""
         from downbeat.tools.eval_sections import eval_sections
 
-        return eval_sections(self.tracks, self.section_seconds, self.mashups, self.seed, self.json)
+        return eval_sections(
+            self.tracks,
+            self.section_seconds,
+            self.mashups,
+            self.seed,
+            self.json,
+            self.fade_seconds,
+        )
 
 
 @dataclass(frozen=True)
