@@ -6,7 +6,14 @@ import pytest
 from downbeat.perception import section_features as sf
 from downbeat.perception.section_finder import MIN_PAST, load_weights
 from downbeat.perception.source import Recording
-from downbeat.tools.eval_sections import SectionScore, interval, mashup_of
+from downbeat.tools.eval_sections import (
+    NEAR_S,
+    SectionScore,
+    find_changes,
+    interval,
+    mashup_of,
+    sound_of,
+)
 from downbeat.tools.section_mashups import MASHUP_S, pool_of, varied_mashup
 from downbeat.tools.train_sections import frames_of, inputs_of, learn, nearest_frames, save
 
@@ -88,3 +95,17 @@ def test_what_is_learned_tells_pieces_apart(tmp_path):
     assert np.mean(highest > np.quantile(odds[far], 0.95)) >= 0.8
     own = weights.log_odds(inputs_of(frames_of(sound), weights.maps))
     assert np.abs(own - odds).max() < 0.2  # half precision
+
+
+@pytest.mark.slow
+def test_the_cuts_of_real_music_are_found(real_music):
+    tracks = sound_of(real_music)
+    score = SectionScore()
+    for number in range(6):
+        rng = np.random.default_rng([5, number])
+        sound, cuts_s = mashup_of(tracks, 120.0, (20.0, 20.0), rng)
+        score.add(find_changes(sound), cuts_s)
+    assert score.cuts == 30
+    assert score.recall >= 0.8, score.text()
+    assert score.precision >= 0.8, score.text()
+    assert max(score.latency_s) <= 2.0 + NEAR_S
