@@ -20,8 +20,8 @@ from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 from downbeat.perception.section_context import Context, Maps, map_names
 
-PEAK = 3
-"""A change is the most likely moment within +-0.3 s."""
+PEAK = 2
+"""A change is the most likely moment within +-0.2 s, and lies where those around it weigh."""
 MIN_PAST = 32
 """Frames before it at least: 3.2 s."""
 WEIGHTS = Path(__file__).with_name("data") / "section_finder.npz"
@@ -132,12 +132,13 @@ class SectionFinder:
         self.newest = found or self.newest
         return found
 
-    def _change(self, picked: tuple[int, float] | None) -> Change | None:
+    def _change(self, picked: tuple[float, float] | None) -> Change | None:
         if picked is None:
             return None
         frame, novelty = picked
         middle_us = round(0.5e6 * sf.WINDOW / sf.RATE_HZ)
-        return Change((self._first_utime or 0) + frame * sf.HOP_US + middle_us, novelty)
+        utime = (self._first_utime or 0) + round(frame * sf.HOP_US) + middle_us
+        return Change(utime, novelty)
 
 
 class Picker:
@@ -150,8 +151,11 @@ class Picker:
         self._count = 0
         self._rests_until = MIN_PAST
 
-    def push(self, odds: float) -> tuple[int, float] | None:
-        """Take a moment's log odds; returns (number, log odds above the threshold) of a change."""
+    def push(self, odds: float) -> tuple[float, float] | None:
+        """Take a moment's log odds; returns (place, log odds above the threshold) of a change.
+
+        The place is a moment's number, in parts of it too.
+        """
         self._odds = [*self._odds[-2 * PEAK :], odds if self._count >= MIN_PAST else -np.inf]
         moment = self._count - PEAK
         self._count += 1
@@ -159,4 +163,6 @@ class Picker:
         if middle < self._threshold or middle < max(self._odds) or moment < self._rests_until:
             return None
         self._rests_until = moment + REST
-        return moment, middle - self._threshold
+        weight = 1.0 / (1.0 + np.exp(-np.array(self._odds)))
+        place = moment + float(weight @ np.arange(-PEAK, PEAK + 1)) / float(weight.sum())
+        return place, middle - self._threshold

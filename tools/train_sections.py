@@ -224,7 +224,7 @@ def set_threshold(
     return weights if chosen is None else replace(weights, threshold=chosen)
 
 
-def second_of(frame: int) -> float:
+def second_of(frame: float) -> float:
     """Return when a frame's middle sounds [s]."""
     return (frame * sf.HOP + sf.WINDOW // 2) / sf.RATE_HZ
 
