@@ -27,10 +27,12 @@ what was in doubt must be surer."""
 NOISY_USUAL, NOISY_SIMILARITY, NOISY_CHECK_S = 0.5, 0.15, 2.0
 """A lock used to less is one in noise: a second may fall short of the floor there, two do not; a
 second of something else falls below the second figure."""
-DIP_USUAL, DIP_CHECK_S, DIP_SIMILARITY, DIP_SHARE = 0.7, 3.0, 0.13, 0.45
+DIP_USUAL, DIP_CHECK_S, DIP_SIMILARITY, DIP_SHARE = 0.7, 3.0, 0.13, 0.5
 """A weak second of a lock used to less than the first figure may be a dip: three seconds tell.
-Those of a wrong place stay below 0.09 in 99 of 100, and 1.7 s after a cut they have fallen below
+Those of a wrong place stay below 0.09 in 99 of 100, and soon after a cut they have fallen below
 this share of what the lock has been used to."""
+DIP_FRESH_S, DIP_FRESH_SIMILARITY = 1.45, 0.1
+"""Of what came since the last good second this is asked, as soon as there is so much."""
 HOLD_SHARE = 0.6
 """Or a fall to this share of what the lock has been used to."""
 REGAIN_SHARE = 0.75
@@ -39,6 +41,8 @@ DROP_AFTER_HOPS = 3
 SHORTEST_S, LONGEST_S = 1.0, 5.0
 LOST_LENGTHS_S, LONG_LENGTHS_S = (1.25, 2.0), (3.0, 5.0, 8.0)
 """Of the long ones, which cost most, one per hop in turn."""
+ALL_FROM_S = 2.4
+"""At first the whole of what there is is one of them."""
 LOOK_BACK_S = 0.25
 """A search begins this much before the last good check: some of that check may have been new."""
 COAST_US, PAUSE_US = 3_000_000, 4_000_000
@@ -170,12 +174,14 @@ class Tracker:
         return TrackState(Lock.CANDIDATE, place, similarity)
 
     def _dip(self, ring: Ring, now: int, place: Place) -> Place | None:
-        """Return the place if a longer check still fits it: the last second was a weak one.
-
-        The search for what else it may be goes on meanwhile, in all that is new.
-        """
+        """Return the place if a longer check still fits it; the search meanwhile goes on."""
         if self._usual >= DIP_USUAL:
             return None
+        fresh_s = min(self._fresh_s(ring, now), DIP_CHECK_S)
+        if fresh_s >= DIP_FRESH_S:
+            fresh, _ = self._compare(ring, now, place, fresh_s)
+            if fresh < DIP_FRESH_SIMILARITY:
+                return None
         longer, correction_s = self._compare(ring, now, place, DIP_CHECK_S)
         if longer < max(DIP_SIMILARITY, DIP_SHARE * self._usual):
             return None
@@ -254,7 +260,8 @@ class Tracker:
         """Search windows of all lengths that hold nothing from before the change."""
         fresh_s = self._fresh_s(ring, now)
         lengths = [s for s in LOST_LENGTHS_S if s <= fresh_s]
-        if long := [s for s in LONG_LENGTHS_S if s <= fresh_s]:
+        all_s = [fresh_s] if ALL_FROM_S <= fresh_s < LONGEST_S else []
+        if long := [s for s in LONG_LENGTHS_S if s <= fresh_s] + all_s:
             self._turn += 1
             lengths.append(long[self._turn % len(long)])
         if not lengths and fresh_s >= SHORTEST_S:

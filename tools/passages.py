@@ -127,6 +127,8 @@ def _runs(
     for begin, end, offset_s in joined:
         begin = _edge(index, aligner, (track, other), begin, offset_s, -1)
         end = _edge(index, aligner, (track, other), end, offset_s, 1)
+        if end <= begin:
+            continue  # alike on the whole, and in no second of it
         frame_s = HOP_S / 2.0
         yield track, other, (begin - PAD_FRAMES) * frame_s, (end - PAD_FRAMES) * frame_s, offset_s
 
@@ -134,18 +136,29 @@ def _runs(
 def _edge(
     index: Index, aligner: FineAligner, pair: tuple[int, int], edge: int, offset_s: float, way: int
 ) -> int:
-    """Follow a passage to where the two tracks part; returns the frame."""
+    """Move the edge of what some windows found to where the two tracks part; returns the frame.
+
+    Half a window is enough to find it, so that the edge may lie outside as well as inside.
+    """
     fine = index.fine[pair[0]]
     frames = round(EDGE_S / HOP_S) // 2 * 2
-    for _ in range(EDGES):
-        first = edge if way > 0 else edge - 2 * frames
+
+    def is_same(first: int) -> bool:
         if first < PAD_FRAMES or first + 2 * frames > len(fine) - PAD_FRAMES:
-            return edge
+            return False
         at = first + round(offset_s / (HOP_S / 2.0))
         heard = Heard(_window(fine, first, frames))
-        if aligner.align(heard, pair[1], at, 2, (1.0,)).similarity < EDGE_LIKE:
-            return edge
-        edge += way * 2 * frames
+        return aligner.align(heard, pair[1], at, 2, (1.0,)).similarity >= EDGE_LIKE
+
+    step, back = way * 2 * frames, 2 * frames if way > 0 else 0
+    for _ in range(EDGES):
+        if is_same(edge - back):
+            break
+        edge -= step
+    for _ in range(EDGES):
+        if not is_same(edge - back + step):
+            break
+        edge += step
     return edge
 
 

@@ -245,3 +245,75 @@ def test_a_place_moves_with_its_rate():
     assert not place.is_near(Place("any", 12.2, 3_000_000))
     assert not place.is_near(Place("another", 12.04, 3_000_000))
     assert Place("any", 0.0, 0, 1.003).used_rate == 1.0
+
+
+def in_noise(sound, seed, level=0.05):
+    """Return music as a lock that is used to noise hears it."""
+    hiss = np.random.default_rng(seed).standard_normal(len(sound)).astype(np.float32)
+    return sound + level * hiss
+
+
+def test_a_weak_second_in_noise_is_no_doubt_where_three_still_fit(matcher, music):
+    for name, seed in (("piece0", 1), ("piece1", 2), ("piece2", 3)):
+        sound = in_noise(cut(music[name], 4.0, 12.0), seed)
+        burst = slice(round(7.0 * RATE), round(8.0 * RATE))
+        sound[burst] = in_noise(sound[burst], seed + 10, 0.3)
+        rows = listen(matcher, sound)
+        weakest = min(s.similarity for t, s in rows if 7.5 <= t <= 8.5)
+        assert weakest < 0.2  # a second alone would be in doubt
+        for time_s, state in rows:
+            if time_s > 4.0:
+                assert state.lock == Lock.LOCKED
+                assert position_s(time_s, state) == pytest.approx(4.0 + time_s, abs=0.05)
+
+
+def test_a_cut_in_noise_is_noticed_within_two_seconds(matcher, music):
+    for first, then in (("piece0", "piece1"), ("piece2", None)):
+        rest = make_music(78, 8.0) if then is None else cut(music[then], 12.0, 8.0)
+        sound = in_noise(np.concatenate([cut(music[first], 4.0, 8.0), rest]), 6)
+        rows = listen(matcher, sound)
+        assert all(s.lock == Lock.LOCKED for t, s in rows if 4.0 < t <= 8.0)
+        for time_s, state in rows:
+            if time_s >= 10.0:
+                assert state.lock != Lock.LOCKED or state.track == then
+
+
+@pytest.fixture(scope="module")
+def quoting():
+    """Two pieces of 30 s; 8 s of one, from 10 s on, are in the other from 14 s on."""
+    from downbeat.tools.passages import find_passages
+
+    shared = make_music(50, 8.0)
+    sounds = {
+        "early": np.concatenate([make_music(51, 10.0), shared, make_music(52, 12.0)]),
+        "late": np.concatenate([make_music(53, 14.0), shared, make_music(54, 8.0)]),
+        "third": make_music(55, 30.0),
+    }
+    made = AlignmentMatcher()
+    for name, samples in sounds.items():
+        made.add(name, samples, RATE)
+    made.index.shared = find_passages(made.index)
+    made.finish()
+    return made, sounds
+
+
+@pytest.mark.parametrize(("name", "begin_s"), [("early", 11.0), ("late", 15.0)])
+def test_a_passage_of_two_tracks_is_no_lock_until_they_part(quoting, name, begin_s):
+    matcher, sounds = quoting
+    rows = listen(matcher, cut(sounds[name], begin_s, 13.0))
+    inside = [s for t, s in rows if 3.0 < t <= 7.0]
+    assert all(s.lock == Lock.CANDIDATE and s.ambiguous for s in inside)
+    for time_s, state in rows:
+        if state.lock == Lock.LOCKED:
+            assert state.track == name
+            assert position_s(time_s, state) == pytest.approx(begin_s + time_s, abs=0.05)
+        assert state.lock == Lock.LOCKED or time_s < 9.0
+
+
+@pytest.mark.parametrize(("name", "begin_s"), [("early", 4.0), ("late", 8.0)])
+def test_who_knew_the_track_before_a_shared_passage_knows_it_in_the_passage(quoting, name, begin_s):
+    matcher, sounds = quoting
+    rows = listen(matcher, cut(sounds[name], begin_s, 16.0))
+    for time_s, state in rows:
+        if time_s > 3.0:
+            assert (state.lock, state.track) == (Lock.LOCKED, name)
