@@ -161,6 +161,7 @@ def test_another_sentence_model_by_configuration_understands_by_likeness():
     assert make_grounder(config, load_skills()).ground("show us a salsa").skill == "salsa"
 
 
+@pytest.mark.slow
 def test_training_and_running_are_the_same_function(tmp_path):
     torch = pytest.importorskip("torch")
     from downbeat.tools.train_intents import Trainee
