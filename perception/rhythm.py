@@ -47,6 +47,10 @@ LEVEL_FLOOR = 0.02
 MAX_STRENGTH = 6.0
 """One loud crash counts no more than this many mean frames."""
 _TURN = np.exp(2j * np.pi * np.outer(HARMONICS, PHASES))  # (harmonics, NUM_PHASES)
+_OCTAVES = np.log2(TEMPOS_BPM / 120.0)
+_PART_ENDS = np.cumsum(NUM_GROUPS * np.array([4, 4, 2, len(HARMONICS)]))
+"""Real and imaginary parts at the whole harmonics, sizes of the halves, all sizes, the tempo."""
+FEATURES = int(_PART_ENDS[-1]) + 2
 
 
 class Equaliser:
@@ -108,58 +112,53 @@ class RhythmBank:
 
 @dataclass(frozen=True)
 class BeatTemplate:
-    """What a beat looks like in the coefficients.
+    """What a beat looks like in the coefficients: a small network over `features`.
+
+    Row 0 of the weights is the linear part; the others are hidden units, which know what belongs
+    together: a cymbal between two bass drums speaks for the bass, alone it speaks for itself.
 
     Attributes:
-        whole: (NUM_GROUPS, 4) complex weights of the whole harmonics.
-        halves: (NUM_GROUPS, 2) weights of |real part| at the halves.
-        sizes: (NUM_GROUPS, harmonics) weights of the sizes.
-        tempo: (2,) weights of log2(BPM / 120) and its square.
+        weights: (1 + hidden, FEATURES) in the order of `features`.
+        bias: (hidden,) of the hidden units.
+        out: (hidden,) what each adds to the score.
     """
 
-    whole: C128
-    halves: F64
-    sizes: F64
-    tempo: F64
+    weights: F64
+    bias: F64
+    out: F64
 
     def score(self, coefficients: C128) -> F64:
         """Return the score of every tempo and phase, (NUM_TEMPOS, NUM_PHASES)."""
-        whole = np.einsum("tgm,gm->tm", coefficients[:, :, WHOLE], self.whole)
-        score = (whole @ _TURN[WHOLE]).real
-        halves = coefficients[:, :, HALVES, None] * _TURN[HALVES]
-        score += np.einsum("tgmp,gm->tp", np.abs(halves.real), self.halves)
-        octaves = np.log2(TEMPOS_BPM / 120.0)
-        flat = np.einsum("tgm,gm->t", np.abs(coefficients), self.sizes)
-        flat += self.tempo[0] * octaves + self.tempo[1] * octaves**2
-        return np.asarray(score + flat[:, None])
+        rows = self._rows(coefficients)
+        linear, hidden = rows[:, 0], np.tanh(rows[:, 1:] + self.bias[:, None])
+        return np.asarray(linear + np.einsum("thp,h->tp", hidden, self.out))
+
+    def _rows(self, coefficients: C128) -> F64:
+        """Return weights times features without making them, (NUM_TEMPOS, rows, NUM_PHASES)."""
+        real, imag, halves, sizes, tempo = np.split(self.weights, _PART_ENDS, axis=1)
+        turned = (real - 1j * imag).reshape(len(real), NUM_GROUPS, -1)
+        whole = np.einsum("tgm,rgm->trm", coefficients[:, :, WHOLE], turned, optimize=True)
+        rows = (whole @ _TURN[WHOLE]).real
+        half = np.abs((coefficients[:, :, HALVES, None] * _TURN[HALVES]).real)
+        rows += halves @ half.reshape(NUM_TEMPOS, -1, NUM_PHASES)
+        flat = np.abs(coefficients).reshape(NUM_TEMPOS, -1) @ sizes.T
+        flat += np.stack([_OCTAVES, _OCTAVES**2], axis=1) @ tempo.T
+        return np.asarray(rows + flat[:, :, None])
 
 
 def features(coefficients: C128) -> F64:
-    """Return what `weights` weighs, (NUM_TEMPOS, NUM_PHASES, n); for learning only."""
+    """Return what a template weighs, (NUM_TEMPOS, NUM_PHASES, FEATURES); for learning only."""
     turned = coefficients[:, None] * _TURN.T[None, :, None, :]
     whole = turned[..., WHOLE].reshape(NUM_TEMPOS, NUM_PHASES, -1)
     halves = np.abs(turned[..., HALVES].real).reshape(NUM_TEMPOS, NUM_PHASES, -1)
     sizes = np.abs(turned).reshape(NUM_TEMPOS, NUM_PHASES, -1)
-    octaves = np.broadcast_to(
-        np.log2(TEMPOS_BPM / 120.0)[:, None, None], (NUM_TEMPOS, NUM_PHASES, 1)
-    )
+    octaves = np.broadcast_to(_OCTAVES[:, None, None], (NUM_TEMPOS, NUM_PHASES, 1))
     return np.concatenate([whole.real, whole.imag, halves, sizes, octaves, octaves**2], axis=2)
-
-
-def template_of(weights: F64) -> BeatTemplate:
-    """Return the template of weights in the order of `features`."""
-    ends = np.cumsum(np.array([4, 4, 2, len(HARMONICS)]) * NUM_GROUPS)
-    real, imag, halves, sizes, tempo = np.split(weights, ends)
-    return BeatTemplate(
-        (real - 1j * imag).reshape(NUM_GROUPS, -1),
-        halves.reshape(NUM_GROUPS, -1),
-        sizes.reshape(NUM_GROUPS, -1),
-        tempo,
-    )
 
 
 @lru_cache(maxsize=1)
 def bundled_template() -> BeatTemplate:
     """Return the template in the wheel."""
     text = (resources.files("downbeat.perception") / "data" / "beat_template.json").read_text()
-    return template_of(np.array(json.loads(text)["weights"], np.float64))
+    parts = {name: np.array(values, np.float64) for name, values in json.loads(text).items()}
+    return BeatTemplate(**parts)
