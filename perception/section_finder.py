@@ -25,8 +25,8 @@ PEAK = 2
 MIN_PAST = 32
 """Frames before it at least: 3.2 s."""
 WEIGHTS = Path(__file__).with_name("data") / "section_finder.npz"
-REST = 30
-"""Frames without another change after one: 3 s."""
+REST = 20
+"""Frames without another change after one: 2 s."""
 CLIP = 6.0
 """Inputs count up to so many deviations."""
 

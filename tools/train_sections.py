@@ -31,7 +31,7 @@ from downbeat.perception.source import Recording
 from downbeat.tools.eval_sections import SectionScore, mashup_of, sound_of
 from downbeat.tools.section_mashups import MASHUP_S, Pool, pool_of, varied_mashup
 
-THRESHOLD = 0.0
+THRESHOLD = -0.1
 """Log odds from which a moment is a change, unless recordings are held apart to choose it."""
 NEAR_FRAMES, CLEAR_FRAMES = 1, 5
 """A moment this near to a cut is one; up to the second it is neither."""

@@ -124,7 +124,7 @@ def test_the_most_likely_moment_is_picked_and_the_next_rests():
     odds = np.full(MIN_PAST + 60, -5.0)
     odds[5] = 9.0  # before there is enough of a past
     odds[MIN_PAST + 10 : MIN_PAST + 13] = 1.0, 2.0, 1.5
-    odds[MIN_PAST + 30] = 3.0  # within three seconds
+    odds[MIN_PAST + 30] = 3.0  # within two seconds
     odds[MIN_PAST + 50] = 0.5
     picker = Picker(0.25)
     told = [(n, found) for n, one in enumerate(odds) if (found := picker.push(one))]
