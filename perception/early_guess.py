@@ -20,7 +20,7 @@ SURE = 0.95
 """Confidence from which a pause is ended: a few words into a sentence, when the rest that would
 make it none is still to come, a command has to sound far better than the 0.25 to 0.4 that do for a
 whole utterance. It saves 0.09 s where it is right and makes the robot move where it is wrong."""
-_AROUND_WORDS = "a an and can could do hey it me now okay please robot show the us you"
+_AROUND_WORDS = "a again an and can could do hey it me now okay please robot show the us you"
 AROUND = frozenset(_AROUND_WORDS.split())
 FEWEST_WORDS = 2
 """One word is too easily the beginning of a sentence: "the monkey, I think, ..." sounds like "do

@@ -58,6 +58,7 @@ class Sureness:
         other: By its form a question or a statement.
         mended: A name is read as another that it sounds like.
         which: Of what is wanted, among all that could be: two dances may be meant alike.
+        clear: Of the same; below it a name may have been misheard.
     """
 
     request: float = 0.65
@@ -65,6 +66,7 @@ class Sureness:
     other: float = 0.87
     mended: float = 0.8
     which: float = 0.3
+    clear: float = 0.6
 
     def of(self, found: Sequence[Clause]) -> float:
         """Return what the likeliest form of the clauses asks for."""
@@ -123,8 +125,10 @@ class Learned:
         """
         least = self._limits.of(found)
         best = self._judged(text)
-        if best.commanded < least:
-            best = self._sounding(text, found, max(least, self._limits.mended)) or best
+        if best.commanded < least or best.likely < self._limits.clear:
+            sounding = self._sounding(text, found, max(least, self._limits.mended))
+            if sounding is not None and sounding.likely > best.likely:
+                best = sounding
         if best.commanded < least or best.likely < self._limits.which:
             return Intent(IntentKind.CHAT)
         kind = KINDS.get(best.wanted, IntentKind.SKILL)

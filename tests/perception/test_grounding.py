@@ -34,7 +34,26 @@ def model():
 
 @pytest.fixture(scope="module")
 def by_meaning(skills, model):
+    """Without what was learned: what skills of somebody else rely on."""
     return Grounder(skills, model)
+
+
+@pytest.fixture(scope="module", params=["learned", "alike"])
+def either(request, skills, by_meaning):
+    from downbeat.perception.intent_model import IntentModel
+
+    if request.param == "alike":
+        return by_meaning
+    intents = IntentModel()
+    return Grounder(skills, intents, intents=intents)
+
+
+@pytest.fixture(scope="module")
+def learned(skills, model):
+    from downbeat.perception.intent_model import IntentModel
+
+    intents = IntentModel()
+    return Grounder(skills, intents, intents=intents)
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +64,13 @@ def by_letters(skills):
 @pytest.mark.parametrize(
     ("half", "top1", "false_triggers"),
     [
-        ("tune", 0.95, 0.01),
-        ("test", 0.83, 0.031),  # scored once, rules frozen: 69 of 83, 1 of 33
+        ("tune", 0.97, 0.0),
+        ("test", 0.98, 0.01),  # scored once, everything frozen: 241 of 244, 1 of 127
     ],
 )
-def test_the_written_set_is_understood_as_measured(by_meaning, half, top1, false_triggers):
+def test_the_written_set_is_understood_as_measured(learned, half, top1, false_triggers):
     rows = [one for one in load_utterances(UTTERANCES) if one.half == half]
-    result = score(by_meaning, rows, "minilm")
+    result = score(learned, rows, "learned")
     assert result.n >= 100
     assert result.top1 >= top1, result.wrong
     assert result.false_triggers <= false_triggers, result.wrong
@@ -72,8 +91,8 @@ def test_the_written_set_is_understood_as_measured(by_meaning, half, top1, false
         ("do some two ting", "tutting"),
     ],
 )
-def test_run_on_and_misheard_requests_are_understood(text, skill, by_meaning):
-    assert by_meaning.ground(text).skill == skill
+def test_run_on_and_misheard_requests_are_understood(text, skill, either):
+    assert either.ground(text).skill == skill
 
 
 @pytest.mark.parametrize(
@@ -85,8 +104,8 @@ def test_run_on_and_misheard_requests_are_understood(text, skill, by_meaning):
         "my grandma is ninety and she loves the waltz", "run the unit tests again",
     ],
 )  # fmt: skip
-def test_near_names_and_statements_start_nothing(text, by_meaning):
-    assert by_meaning.ground(text).kind is IntentKind.CHAT
+def test_near_names_and_statements_start_nothing(text, either):
+    assert either.ground(text).kind is IntentKind.CHAT
 
 
 @pytest.mark.parametrize(
@@ -97,8 +116,8 @@ def test_near_names_and_statements_start_nothing(text, by_meaning):
         "my mum says you are not allowed to do the zombie", "do the twist no wait don't",
     ],
 )  # fmt: skip
-def test_run_on_refusals_start_nothing(text, by_meaning):
-    assert by_meaning.ground(text).kind not in MOVES
+def test_run_on_refusals_start_nothing(text, either):
+    assert either.ground(text).kind not in MOVES
 
 
 def test_without_the_model_nothing_forbidden_is_done_and_phrases_work(by_letters, skills):
@@ -113,54 +132,54 @@ def test_without_the_model_nothing_forbidden_is_done_and_phrases_work(by_letters
                 assert intent.skill == name, phrase
 
 
-def test_every_phrase_of_a_manifest_means_its_skill(by_meaning, skills):
+def test_every_phrase_of_a_manifest_means_its_skill(either, skills):
     for name, skill in skills.items():
         if name in NOT_BY_VOICE:
             continue
         for phrase in skill.phrases:
-            intent = by_meaning.ground(phrase)
+            intent = either.ground(phrase)
             assert intent.kind is IntentKind.STOP or intent.skill == name, phrase
 
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_no_phrase_is_done_when_it_is_forbidden(data, by_meaning, skills):
+def test_no_phrase_is_done_when_it_is_forbidden(data, either, skills):
     names = sorted(set(skills) - NOT_BY_VOICE)
     phrase = data.draw(st.sampled_from(skills[data.draw(st.sampled_from(names))].phrases))
     no = data.draw(st.sampled_from(["don't ", "do not ", "never ", "please don't do the ", "no "]))
-    assert by_meaning.ground(no + phrase).kind not in MOVES
+    assert either.ground(no + phrase).kind not in MOVES
 
 
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_a_stop_beside_any_request_is_a_stop(data, by_meaning, skills):
+def test_a_stop_beside_any_request_is_a_stop(data, either, skills):
     names = sorted(set(skills) - NOT_BY_VOICE)
     phrase = data.draw(st.sampled_from(skills[data.draw(st.sampled_from(names))].phrases))
     text = data.draw(st.sampled_from(["{}, stop", "stop. {}", "stop the {}", "{} and then stop"]))
-    assert by_meaning.ground(text.format(phrase)).kind is IntentKind.STOP
+    assert either.ground(text.format(phrase)).kind is IntentKind.STOP
 
 
 @settings(max_examples=100, deadline=None)
 @given(text=st.text(max_size=300))
-def test_any_text_is_an_intent(text, by_meaning):
-    intent = by_meaning.ground(text)
+def test_any_text_is_an_intent(text, either):
+    intent = either.ground(text)
     assert 0.0 <= intent.score <= 1.0
     assert (intent.kind is IntentKind.SKILL) <= bool(intent.skill)
 
 
-def test_numbers_travel_with_the_request(by_meaning):
-    wave = by_meaning.ground("please wave your hand for five seconds")
+def test_numbers_travel_with_the_request(either):
+    wave = either.ground("please wave your hand for five seconds")
     assert (wave.skill, wave.parameters.duration_s) == ("wave", 5.0)
-    walk = by_meaning.ground("walk forward two metres")
+    walk = either.ground("walk forward two metres")
     assert (walk.skill, walk.parameters.distance_m) == ("walk", 2.0)
 
 
-def test_the_gesture_of_the_own_speech_is_not_for_asking(by_meaning):
-    assert by_meaning.ground("make talking gestures").skill not in NOT_BY_VOICE
+def test_the_gesture_of_the_own_speech_is_not_for_asking(either):
+    assert either.ground("make talking gestures").skill not in NOT_BY_VOICE
 
 
-def test_standing_is_a_stop(by_meaning):
-    assert by_meaning.ground("please stand").kind is IntentKind.STOP
+def test_standing_is_a_stop(either):
+    assert either.ground("please stand").kind is IntentKind.STOP
 
 
 def test_unknown_words_become_the_skill_they_sound_like():

@@ -77,7 +77,7 @@ def test_what_is_only_forbidden_is_not_begun_whatever_the_model_says(text):
 
 
 def test_a_question_has_to_be_surer_than_a_request():
-    judge = learned("waltz", 0.7)
+    judge = learned("waltz", 0.5)
     assert wants(judge, "can you do something like that").skill == "waltz"
     assert wants(judge, "who was johann strauss").kind is IntentKind.CHAT
 
