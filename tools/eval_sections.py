@@ -121,7 +121,7 @@ def interval(count: int, total: int) -> tuple[float, float]:
     middle = (share + z * z / (2 * total)) / (1.0 + z * z / total)
     half = z * np.sqrt(share * (1.0 - share) / total + (z / (2.0 * total)) ** 2)
     half /= 1.0 + z * z / total
-    return round(max(0.0, middle - half), 4), round(min(1.0, middle + half), 4)
+    return round(float(max(0.0, middle - half)), 4), round(float(min(1.0, middle + half)), 4)
 
 
 def sound_of(folder: Path) -> list[Recording]:
