@@ -26,7 +26,7 @@ log = logging.getLogger("downbeat.listener")
 HOP_US = 250_000
 RING_S = 8.5
 CLASS_WINDOW_S = 1.0
-PAUSE_DBFS = -50.0
+PAUSE_DBFS = -60.0
 """Below this a second of sound is a pause: too little to judge a lock by."""
 
 

@@ -86,6 +86,8 @@ class ChunkReport:
             counted.n += part.n
             counted.accepted += part.accepted
             counted.names += part.names
+            counted.elsewhere += part.elsewhere
+            counted.elsewhere_names += part.elsewhere_names
         return counted
 
     def _quantiles(self) -> dict[str, float]:
@@ -118,6 +120,8 @@ def print_report(report: ChunkReport) -> None:
     for part in report.refused.values():
         for line in part.names[:5]:
             console.print(f"accepted: {line}", highlight=False)
+        for line in part.elsewhere_names[:5]:
+            console.print(f"same recording elsewhere: {line}", highlight=False)
 
 
 def _print_windows(console: Console, report: ChunkReport) -> None:
@@ -135,11 +139,16 @@ def _print_windows(console: Console, report: ChunkReport) -> None:
         repeats = f"{100.0 * cells['elsewhere']:.1f}"
         table.add_row(name, str(score.n), *shares, repeats, f"{100.0 * short:.1f}")
     console.print(table)
-    table = Table("must be refused", "n", "accepted", "%", "upper 95 %")
+    table = Table(
+        "must be refused", "n", "accepted", "%", "upper 95 %", "same recording elsewhere",
+        caption="same recording elsewhere: accepted too, and not counted as wrong, as the track "
+        "that it was taken for holds the identical recording there (as for 'repeat').",
+    )  # fmt: skip
     totals = {f"all{suffix}": report.all_refused(suffix) for suffix in ("", SHORT)}
     for name, part in {**report.refused, **totals}.items():
         rate = f"{100.0 * part.accepted / max(part.n, 1):.2f}"
-        table.add_row(name, str(part.n), str(part.accepted), rate, f"{100.0 * part.upper95:.2f}")
+        bound, elsewhere = f"{100.0 * part.upper95:.2f}", str(part.elsewhere)
+        table.add_row(name, str(part.n), str(part.accepted), rate, bound, elsewhere)
     console.print(table)
 
 

@@ -53,11 +53,22 @@ class ConditionScore:
 
 @dataclass
 class FalseAccepts:
-    """One class of sound that must be refused."""
+    """One class of sound that must be refused.
+
+    Attributes:
+        n: Windows.
+        accepted: Of them, accepted.
+        names: Which those were.
+        elsewhere: Accepted as a track that holds the identical recording: it is in the catalogue,
+            under another name. Not among `accepted`.
+        elsewhere_names: Which those were.
+    """
 
     n: int = 0
     accepted: int = 0
     names: list[str] = field(default_factory=list)
+    elsewhere: int = 0
+    elsewhere_names: list[str] = field(default_factory=list)
 
     @property
     def upper95(self) -> float:
@@ -73,17 +84,25 @@ class FalseAccepts:
             "rate": round(self.accepted / max(self.n, 1), 5),
             "upper95": round(self.upper95, 5),
             "accepted": self.names[:20],
+            "same_recording_elsewhere": self.elsewhere,
+            "elsewhere": self.elsewhere_names[:20],
         }
 
-    def add(self, query: Query, result: MatchResult) -> None:
-        """Count one query."""
+    def add(self, query: Query, result: MatchResult, is_same_sound: bool = False) -> None:
+        """Count one query; `is_same_sound`: the track that it was taken for holds it."""
         self.n += 1
-        if result.accepted:
+        if not result.accepted:
+            return
+        said = (
+            f"{query.condition}: {query.track} at {query.start_s:g} s "
+            f"taken for {result.track} ({result.confidence:.2f})"
+        )
+        if is_same_sound:
+            self.elsewhere += 1
+            self.elsewhere_names.append(said)
+        else:
             self.accepted += 1
-            self.names.append(
-                f"{query.condition}: {query.track} at {query.start_s:g} s "
-                f"taken for {result.track} ({result.confidence:.2f})"
-            )
+            self.names.append(said)
 
 
 class Places:

@@ -259,8 +259,10 @@ class ChunkStudy:
     def _refuse(self, classes: Sequence[str], matcher: AlignmentMatcher, query: Query) -> None:
         for suffix, seconds in (("", CHUNK_S), (SHORT, SHORT_S)):
             result = self._ask(matcher, query.samples[: round(seconds * RATE_HZ)])
+            is_same = result.accepted and self.places.is_same_sound(query, result)
             for name in classes:
-                self.report.refused.setdefault(name + suffix, FalseAccepts()).add(query, result)
+                part = self.report.refused.setdefault(name + suffix, FalseAccepts())
+                part.add(query, result, is_same)
 
 
 def eval_chunks(options: ChunkOptions, as_json: bool) -> int:

@@ -159,3 +159,26 @@ def test_a_catalogue_names_recordings_that_are_the_same_and_answers_in_json(
     assert answer["track"] == "piece1" and answer["accepted"] is True
     assert answer["tau_s"] == pytest.approx(6.0, abs=0.02)
     assert {"confidence", "votes", "rate"} <= set(answer)
+
+
+def test_the_identical_recording_under_another_name_is_counted_apart():
+    """Two tracks share 12 s bit for bit: where one is unknown, the other is no stranger there."""
+    shared = make_music(20, 12.0)
+    tracks = {
+        "one": np.concatenate([make_music(21, 8.0), shared]),
+        "two": np.concatenate([make_music(22, 6.0), shared]),
+    }
+    places = Places({name: ft.to_matcher_rate(x, RATE) for name, x in tracks.items()})
+    counted = FalseAccepts()
+    for start_s, found, tau_s, is_accepted in (
+        (10.0, "two", 8.0, True),  # the same recording there
+        (10.0, "two", 9.0, True),  # another place of it
+        (2.0, "two", 2.0, True),  # other music
+        (12.0, "two", 10.0, False),
+    ):
+        query = Query("clean", "one", start_s, 0.0, shared, False)
+        result = MatchResult(found, tau_s, accepted=is_accepted)
+        counted.add(query, result, places.is_same_sound(query, result))
+    assert (counted.n, counted.accepted, counted.elsewhere) == (4, 2, 1)
+    assert counted.shares()["rate"] == 0.5
+    assert counted.shares()["elsewhere"] == ["clean: one at 10 s taken for two (0.00)"]

@@ -206,6 +206,19 @@ def test_a_passage_played_twice_is_named_as_a_repeat():
     assert song.query(make_song(60, 10.0)[13 * RATE : 16 * RATE], RATE).repeats == ()
 
 
+def test_a_riff_is_found_at_its_own_place_and_not_at_a_likeness():
+    """Thirty bars alike but for a soft melody, and windows between two places of the scan."""
+    bar = np.pad(make_music(80, 2.2), (0, RATE))[: round(2.2 * RATE)]
+    sound = np.tile(bar, 30)
+    sound = sound + np.float32(0.2) * make_music(81, 70.0)[: len(sound)]
+    riff = AlignmentMatcher()
+    riff.add("riff", sound, RATE)
+    riff.add("other", make_music(90, 30.0), RATE)
+    for start_s in np.arange(3.04, 57.0, 2.26):
+        result = riff.query(sound[round(start_s * RATE) : round((start_s + 4.0) * RATE)], RATE)
+        assert result.accepted and result.tau_s == pytest.approx(start_s, abs=0.05)
+
+
 def test_a_lock_asks_more_than_one_window_alone():
     for seconds in (1.0, 1.25, 2.0, 3.0, 5.0, 8.0):
         assert threshold(seconds, LOCK_THRESHOLDS) > threshold(seconds) + 0.5
