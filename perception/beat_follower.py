@@ -158,6 +158,11 @@ class BeatFollower:
             self._steady,
         )
 
+    @property
+    def line(self) -> BeatLine | None:
+        """The line through the beats, in seconds of the sound; None while there is none."""
+        return self._line
+
     def step(self, onsets: F64) -> None:
         """Take one step of onsets, (STEP_FRAMES, NUM_GROUPS)."""
         strength = self._equaliser.push(onsets)

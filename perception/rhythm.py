@@ -13,6 +13,7 @@ import json
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 
 import numpy as np
 import numpy.typing as npt
@@ -156,9 +157,13 @@ def features(coefficients: C128) -> F64:
     return np.concatenate([whole.real, whole.imag, halves, sizes, octaves, octaves**2], axis=2)
 
 
+def read_template(file: Traversable) -> BeatTemplate:
+    """Return the template that `downbeat.tools.train_follow` wrote."""
+    parts = json.loads(file.read_text(encoding="utf-8"))
+    return BeatTemplate(**{name: np.array(values, np.float64) for name, values in parts.items()})
+
+
 @lru_cache(maxsize=1)
 def bundled_template() -> BeatTemplate:
     """Return the template in the wheel."""
-    text = (resources.files("downbeat.perception") / "data" / "beat_template.json").read_text()
-    parts = {name: np.array(values, np.float64) for name, values in json.loads(text).items()}
-    return BeatTemplate(**parts)
+    return read_template(resources.files("downbeat.perception") / "data" / "beat_template.json")

@@ -254,7 +254,8 @@ def main(options: Options) -> None:
 
 
 def _rounded(values: F64) -> list[Any]:
-    return np.vectorize(lambda v: float(f"{v:.5g}"))(values).tolist()
+    short: list[Any] = np.vectorize(lambda v: float(f"{v:.5g}"))(values).tolist()
+    return short
 
 
 if __name__ == "__main__":
