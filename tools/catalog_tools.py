@@ -124,6 +124,8 @@ def match(
         print(json.dumps({name: _plain(value) for name, value in asdict(result).items()}))
         return 0 if result.accepted else 1
     verdict = "accepted" if result.accepted else "not accepted"
+    for twin, tau_s in result.twins:
+        verdict += f": '{twin}' holds the same passage at {tau_s:.2f} s"
     print(
         f"{result.track or 'nothing'} at {result.tau_s:.3f} s, rate {result.rate:.2f}, "
         f"score {result.confidence:.2f} ({verdict}), {result.votes} votes, "

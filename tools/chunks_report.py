@@ -114,6 +114,9 @@ def print_report(report: ChunkReport) -> None:
         highlight=False,
     )
     for name, score in report.conditions.items():
+        if score.twins:
+            said = f"{score.twins} of {score.n} windows name two tracks that share the passage"
+            console.print(f"{name}: {said}, and are not accepted", highlight=False)
         if score.missed and not name.endswith(SHORT):
             some = "; ".join(score.missed[:4])
             console.print(f"missed, {name}: {some}", highlight=False, soft_wrap=True)

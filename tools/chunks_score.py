@@ -31,6 +31,8 @@ class ConditionScore:
         accepted: Right, and accepted.
         wrong: Accepted at another track or place.
         elsewhere: Of `right`, at another repeat of the identical sound.
+        twins: Answered with the names of two tracks that share the passage, the right one among
+            them; not accepted.
         error_ms: Of the places that are right by time.
         missed: Which were not accepted.
     """
@@ -41,13 +43,14 @@ class ConditionScore:
     accepted: int = 0
     wrong: int = 0
     elsewhere: int = 0
+    twins: int = 0
     error_ms: list[float] = field(default_factory=list)
     missed: list[str] = field(default_factory=list)
 
     def shares(self) -> dict[str, float]:
         """Return n, and the others as shares of it."""
         n = max(self.n, 1)
-        counted = ("top1", "right", "accepted", "wrong", "elsewhere")
+        counted = ("top1", "right", "accepted", "wrong", "elsewhere", "twins")
         return {"n": self.n, **{name: round(getattr(self, name) / n, 4) for name in counted}}
 
 
@@ -128,6 +131,8 @@ class Places:
         if not (is_place or is_repeat) or not result.accepted:
             score.missed.append(f"{query.track} at {query.start_s:g} s ({result.confidence:.2f})")
         score.wrong += result.accepted and not (is_place or is_repeat)
+        named = (result.track, *(track for track, _ in result.twins))
+        score.twins += bool(result.twins) and query.track in named
         return is_place or is_repeat
 
     def is_same_sound(self, query: Query, result: MatchResult) -> bool:

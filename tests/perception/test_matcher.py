@@ -219,6 +219,28 @@ def test_a_riff_is_found_at_its_own_place_and_not_at_a_likeness():
         assert result.accepted and result.tau_s == pytest.approx(start_s, abs=0.05)
 
 
+def test_a_window_that_two_tracks_share_is_accepted_for_neither_and_names_both():
+    from downbeat.tools.passages import find_passages
+
+    shared = make_music(50, 8.0)
+    sounds = {
+        "early": np.concatenate([make_music(51, 10.0), shared, make_music(52, 6.0)]),
+        "late": np.concatenate([make_music(53, 14.0), shared]),
+    }
+    twins = AlignmentMatcher()
+    for name, samples in sounds.items():
+        twins.add(name, samples, RATE)
+    twins.index.shared = find_passages(twins.index)
+    twins.finish()
+    result = twins.query(window(sounds, "early", 12.0, 4.0), RATE)
+    ((other, other_s),) = result.twins
+    assert not result.accepted and {result.track, other} == {"early", "late"}
+    assert sorted([result.tau_s, other_s]) == pytest.approx([12.0, 16.0], abs=0.03)
+    for name, start_s in (("early", 2.0), ("early", 19.0), ("late", 5.0)):
+        result = twins.query(window(sounds, name, start_s, 4.0), RATE)
+        assert result.accepted and (result.track, result.twins) == (name, ())
+
+
 def test_a_lock_asks_more_than_one_window_alone():
     for seconds in (1.0, 1.25, 2.0, 3.0, 5.0, 8.0):
         assert threshold(seconds, LOCK_THRESHOLDS) > threshold(seconds) + 0.5
