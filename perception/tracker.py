@@ -3,7 +3,8 @@
 While locked, every hop checks the last second against the place where the track must be: cheap, and
 it notices a cut within half a second. Then the sound after the change is searched, hop by hop in a
 longer window, until one stands high enough. In noise a weak second is no change where three still
-fit. While a lock is young, longer windows may move it to another repeat of the passage. What slips steadily is played at another speed.
+fit. While a lock is young, longer windows may move it to another repeat of the passage. What slips
+steadily is played at another speed.
 
 A passage that the track repeats note by note has several places. The lock follows one of them and
 says that it is ambiguous until what follows differs; who was sure before a repeat stays sure.
