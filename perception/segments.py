@@ -39,7 +39,7 @@ class SegmentConfig:
     open_probability: float = 0.5
     close_probability: float = 0.35
     min_voiced_s: float = 0.12
-    hang_over_s: float = 0.25
+    hang_over_s: float = 0.22
     early_s: float = 0.0
     sure_s: float = 0.16
     pre_roll_s: float = 0.25
