@@ -62,7 +62,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tracks", type=Path, nargs="+", required=True, help="recordings")
     parser.add_argument("--held", type=Path, nargs="*", default=[], help="that set the threshold")
-    parser.add_argument("--minutes", type=float, default=1600.0, help="of mashups to learn from")
+    parser.add_argument("--minutes", type=float, default=1000.0, help="of mashups to learn from")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=WEIGHTS)
     args = parser.parse_args()
