@@ -50,10 +50,10 @@ SAME_TEMPO, SAME_PHASE = 0.02, 0.09
 """Beats this close in log period and in beats are one."""
 CHALLENGE, CHALLENGE_LOOKS = 0.3, 4
 """Another beat takes over when it leads by this score for so many looks."""
-STEADY_ON, STEADY_OFF = 0.6, 0.35
+STEADY_ON, STEADY_OFF = 0.5, 0.3
 STEADY_LOOKS = 2
-"""Steady, and no longer steady, after so many looks on end. Chosen on recordings held apart from
-the template: 97 % of what is called steady there is right, and 0.7 % of voices and noise is."""
+"""Steady, and no longer steady, after so many looks on end. The lowest odds at which synthetic
+voices, rooms and noise are called steady less than 0.7 % of the time."""
 MIN_ACTIVITY = 0.06
 """Mean onset strength below this is no music but a quiet room; music has 0.1 to 0.3."""
 MIN_CONFIDENCE = 0.15
