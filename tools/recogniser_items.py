@@ -13,17 +13,21 @@ import soxr
 
 from downbeat.perception.features import F32
 from downbeat.perception.grounding import NOT_BY_VOICE, STAND, IntentKind
+from downbeat.perception.intent_model import CHAT
 from downbeat.perception.recogniser_grammar import STOP_WORDS, plain
 from downbeat.perception.recogniser_network import STOP
 from downbeat.perception.reply_table import QUESTIONS
 from downbeat.perception.speech_config import SpeechConfig
 from downbeat.policies.manifest import load_skills
 from downbeat.tools import recogniser_sentences as said
+from downbeat.tools import spoken_lines
 from downbeat.tools.errors import ToolError
 from downbeat.tools.speech_parts import make_grounder
+from downbeat.tools.train_intents import load_sentences
 
 RATE_HZ = 16_000
 PAD_S = 0.25
+MAX_WORDS = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +119,26 @@ def items(half: str, share: int = 1) -> list[Item]:
             for variant in ("", "+f2")
         ]
     return found[::share]
+
+
+def talk(count: int) -> list[Item]:
+    """Return what people say near the robot, in the calibration's voices: no command in it.
+
+    Every so many-th of the talk that the intent model learns from, without what the test says.
+    """
+    held = {plain(text) for text in (*said.TEST_SENTENCES, *spoken_lines.OTHERS)}
+    texts = [
+        one.text
+        for one in load_sentences()
+        if one.wanted == CHAT and one.text.isascii() and 4 <= len(one.text.split()) <= MAX_WORDS
+    ]
+    texts = [text for text in texts if plain(text) not in held]
+    step = max(1, len(texts) // count)
+    voices, paces = said.CALIBRATION_VOICES, said.WORDS_PER_MINUTE
+    return [
+        Item("sentence", "", text, voices[at % len(voices)], paces[at % len(paces)])
+        for at, text in enumerate(texts[::step][:count])
+    ]
 
 
 def speak(text: str, voice: str, words_per_minute: int) -> F32:
