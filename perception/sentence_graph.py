@@ -39,9 +39,7 @@ class _Graph:
         return name
 
 
-def bert_graph(
-    weights: Mapping[str, npt.NDArray[np.float32]], head_dim: int = HEAD_DIM
-) -> bytes:
+def bert_graph(weights: Mapping[str, npt.NDArray[np.float32]], head_dim: int = HEAD_DIM) -> bytes:
     """Return the serialised model: `ids` int64 (n, t), `mask` float32 (n, t) -> units (n, dim).
 
     Args:
@@ -98,9 +96,7 @@ def _norm(g: _Graph, x: str, weights: Mapping[str, Any], name: str) -> str:
     return g.op("LayerNormalization", x, gain, shift, epsilon=LAYER_NORM_EPS)
 
 
-def _layer(
-    g: _Graph, x: str, bias: str, weights: Mapping[str, Any], at: str, head_dim: int
-) -> str:
+def _layer(g: _Graph, x: str, bias: str, weights: Mapping[str, Any], at: str, head_dim: int) -> str:
     split = g.const([0, 0, -1, head_dim], np.int64)
 
     def heads(name: str, perm: list[int]) -> str:
