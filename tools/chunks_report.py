@@ -85,6 +85,7 @@ class ChunkReport:
             part = self.refused.get(name + suffix, FalseAccepts())
             counted.n += part.n
             counted.accepted += part.accepted
+            counted.kin += part.kin
             counted.names += part.names
             counted.elsewhere += part.elsewhere
             counted.elsewhere_names += part.elsewhere_names
@@ -143,15 +144,18 @@ def _print_windows(console: Console, report: ChunkReport) -> None:
         table.add_row(name, str(score.n), *shares, repeats, f"{100.0 * short:.1f}")
     console.print(table)
     table = Table(
-        "must be refused", "n", "accepted", "%", "upper 95 %", "same recording elsewhere",
-        caption="same recording elsewhere: accepted too, and not counted as wrong, as the track "
-        "that it was taken for holds the identical recording there (as for 'repeat').",
+        "must be refused", "n", "accepted", "%", "upper 95 %", "of these kin",
+        "same recording elsewhere",
+        caption="of these kin: taken for a piece of the same composer or sound bank. same "
+        "recording elsewhere: accepted too, and not counted as wrong, as the track that it was "
+        "taken for holds the identical recording there (as for 'repeat').",
     )  # fmt: skip
     totals = {f"all{suffix}": report.all_refused(suffix) for suffix in ("", SHORT)}
     for name, part in {**report.refused, **totals}.items():
         rate = f"{100.0 * part.accepted / max(part.n, 1):.2f}"
-        bound, elsewhere = f"{100.0 * part.upper95:.2f}", str(part.elsewhere)
-        table.add_row(name, str(part.n), str(part.accepted), rate, bound, elsewhere)
+        bound = f"{100.0 * part.upper95:.2f}"
+        counts = (str(part.n), str(part.accepted), rate, bound, str(part.kin), str(part.elsewhere))
+        table.add_row(name, *counts)
     console.print(table)
 
 

@@ -62,6 +62,7 @@ class FalseAccepts:
         n: Windows.
         accepted: Of them, accepted.
         names: Which those were.
+        kin: Of the accepted, taken for a piece of their own composer or sound bank.
         elsewhere: Accepted as a track that holds the identical recording: it is in the catalogue,
             under another name. Not among `accepted`.
         elsewhere_names: Which those were.
@@ -70,6 +71,7 @@ class FalseAccepts:
     n: int = 0
     accepted: int = 0
     names: list[str] = field(default_factory=list)
+    kin: int = 0
     elsewhere: int = 0
     elsewhere_names: list[str] = field(default_factory=list)
 
@@ -86,13 +88,28 @@ class FalseAccepts:
             "n": self.n,
             "rate": round(self.accepted / max(self.n, 1), 5),
             "upper95": round(self.upper95, 5),
+            "taken_for_kin": self.kin,
+            "rate_without_kin": round((self.accepted - self.kin) / max(self.n, 1), 5),
             "accepted": self.names[:20],
             "same_recording_elsewhere": self.elsewhere,
             "elsewhere": self.elsewhere_names[:20],
         }
 
-    def add(self, query: Query, result: MatchResult, is_same_sound: bool = False) -> None:
-        """Count one query; `is_same_sound`: the track that it was taken for holds it."""
+    def add(
+        self,
+        query: Query,
+        result: MatchResult,
+        is_same_sound: bool = False,
+        is_kin: bool = False,
+    ) -> None:
+        """Count one query.
+
+        Args:
+            query: What was played.
+            result: What it was taken for.
+            is_same_sound: The track that it was taken for holds it.
+            is_kin: That track is of the same composer or sound bank.
+        """
         self.n += 1
         if not result.accepted:
             return
@@ -105,6 +122,7 @@ class FalseAccepts:
             self.elsewhere_names.append(said)
         else:
             self.accepted += 1
+            self.kin += is_kin
             self.names.append(said)
 
 

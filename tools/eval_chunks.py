@@ -260,9 +260,11 @@ class ChunkStudy:
         for suffix, seconds in (("", CHUNK_S), (SHORT, SHORT_S)):
             result = self._ask(matcher, query.samples[: round(seconds * RATE_HZ)])
             is_same = result.accepted and self.places.is_same_sound(query, result)
+            group = self.groups.get(query.track.split(", ")[0])  # "NAME, shuffled"
+            is_kin = group is not None and self.groups.get(result.track) == group
             for name in classes:
                 part = self.report.refused.setdefault(name + suffix, FalseAccepts())
-                part.add(query, result, is_same)
+                part.add(query, result, is_same, is_kin)
 
 
 def eval_chunks(options: ChunkOptions, as_json: bool) -> int:
