@@ -109,7 +109,8 @@ def test_inputs_forget_what_is_older_than_they_look_back():
     for changed, same in ((count - back - 1, True), (count - back + 40, False)):
         other = sf.Frames(*(part.copy() for part in vars(whole).values()))
         other.long[changed] += 3.0
-        assert np.array_equal(Context(maps).push(other)[-1], last) == same
+        # Running sums are rounded differently after other frames: not bit by bit.
+        assert np.allclose(Context(maps).push(other)[-1], last, atol=1e-4) == same
 
 
 def test_a_tail_knows_its_rows_by_number():
