@@ -26,6 +26,8 @@ WAVE_HZ = 40
 TRACK_ROW, ASKED_ROW, DANCED_ROW = (3.05, 0.5), (2.05, 0.72), (0.95, 0.72)
 HEARD_ROW, CHECK_ROW = (0.52, 0.2), (0.12, 0.2)
 """Lower edge and height of each row, in the panel's own units."""
+LABEL_SHARE = 0.05
+"""Width of a check's label as a share of a panel."""
 TOP = 3.95
 
 
@@ -239,14 +241,15 @@ def _draw_checks(axes: Any, picture: Picture, start_s: float, end_s: float) -> N
     """Draw how long each check took, and how many of its rollouts fell."""
     bottom, height = CHECK_ROW
     shown_s = 0.006 * (end_s - start_s)
-    for check in picture.checks:
-        if not start_s <= check.asked_s < end_s:
-            continue
+    checks = [check for check in picture.checks if start_s <= check.asked_s < end_s]
+    for check, after in zip(checks, [*checks, None][1:], strict=True):
         done = check.answered_s is not None
         colour = palette.BAD if check.refused or not done else palette.GOOD
         answered_s = check.answered_s if check.answered_s is not None else check.asked_s
         right_s = max(answered_s, check.asked_s + shown_s)
         _bar(axes, CHECK_ROW, (check.asked_s, right_s), color=colour)
+        if after is not None and after.asked_s - right_s < LABEL_SHARE * (end_s - start_s):
+            continue  # two labels would lie on each other
         axes.text(
             right_s + 0.5 * shown_s,
             bottom + height / 2,
