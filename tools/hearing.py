@@ -81,6 +81,7 @@ class Narrator:
         moved_s = abs(msg.track_zero_utime - self._track_zero_utime) * 1e-6
         if lock == self._lock and (msg.lock != music_match_t.LOCKED or moved_s < JUMP_S):
             return
+        was_locked = self._lock == (music_match_t.LOCKED, msg.track)
         self._lock, self._track_zero_utime = lock, msg.track_zero_utime
         if msg.lock == music_match_t.LOCKED:
             at_s = (msg.header.utime - msg.track_zero_utime) * 1e-6 * msg.rate
@@ -88,7 +89,8 @@ class Narrator:
         elif msg.lock == music_match_t.CANDIDATE and msg.accepted:  # the paper's way to listen
             self._line(msg.header.utime, f"this chunk is {msg.track} from {msg.tau_s:.2f} s")
         elif msg.lock == music_match_t.CANDIDATE:
-            self._line(msg.header.utime, f"doubts {msg.track}")
+            text = "doubts" if was_locked else "may be"
+            self._line(msg.header.utime, f"{text} {msg.track}")
         else:
             self._line(msg.header.utime, "no track")
 

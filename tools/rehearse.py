@@ -27,7 +27,15 @@ from downbeat.sim.batch.outcome import Outcome, join_outcomes
 from downbeat.sim.batch.perturb import BLOCK, draw_block, load_profile
 from downbeat.sim.batch.states import visit
 from downbeat.tools.errors import ToolError
-from downbeat.tools.show import Show, load_show, show_atlas, show_skills, show_tracks
+from downbeat.tools.show import (
+    Show,
+    load_show,
+    show_atlas,
+    show_hearing,
+    show_skills,
+    show_speech,
+    show_tracks,
+)
 
 BASE_UTIME = 1_000_000_000
 LOOK_AHEAD_US = 2_000_000
@@ -71,6 +79,8 @@ def run_rehearse(path: Path, rollouts: int, as_json: bool) -> int:
         ToolError: There is no atlas, or the show is wrong.
     """
     show = load_show(path)
+    show_hearing(show)  # what they name wrongly would stop the show as well
+    show_speech(show)
     atlas = show_atlas(show)
     if atlas is None:
         raise ToolError(

@@ -10,6 +10,7 @@ import argparse
 import csv
 import math
 import random
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -229,13 +230,22 @@ def _batches(sentences: Sequence[Labelled], rng: random.Random) -> list[list[Lab
 def main() -> int:
     """Train on everything and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
-    parser.add_argument("--sentences", type=Path, default=SENTENCES)
-    parser.add_argument("--out", type=Path, default=WEIGHTS)
-    parser.add_argument("--rank", type=int, default=4)
-    parser.add_argument("--epochs", type=int, default=4)
+    parser.add_argument("--sentences", type=Path, default=SENTENCES, help="expected TAB text")
+    parser.add_argument("--out", type=Path, default=WEIGHTS, help="weights; what was there is lost")
+    parser.add_argument("--rank", type=int, default=8, help="of the updates")
+    parser.add_argument("--epochs", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
-    sentences = load_sentences(chosen.sentences)
+    try:
+        import torch  # noqa: F401
+    except ImportError:
+        print("Training needs torch, which is not installed; `pip install torch`.", file=sys.stderr)
+        return 2
+    try:
+        sentences = load_sentences(chosen.sentences)
+    except ToolError as error:
+        print(error, file=sys.stderr)
+        return 2
     print(f"{len(sentences)} sentences")
     train(sentences, chosen.rank, chosen.epochs, chosen.seed).save(chosen.out)
     print(f"{chosen.out}: {chosen.out.stat().st_size // 1024} KiB")

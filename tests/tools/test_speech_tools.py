@@ -1,13 +1,17 @@
 """Bench and timeline of speech: what is counted, what is drawn."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from downbeat.lcm_types import speech_t
 from downbeat.perception.recogniser_openai import OpenAIRecogniser
+from downbeat.runtime.errors import DownbeatError
 from downbeat.tools.bench_speech import Said, _latency
 from downbeat.tools.eval_spoken import _share
+from downbeat.tools.rehearse import run_rehearse
 from downbeat.tools.speech_stand_in import stand_in_service
 from downbeat.tools.timeline_speech import _fit, said_lines
 
@@ -70,3 +74,20 @@ def test_a_long_line_is_cut_at_a_word():
     assert _fit("walk like a zombie", 40) == "walk like a zombie"
     assert _fit("walk like a zombie", 12) == "walk like…"
     assert _fit("walk like a zombie", 3) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("speech", 'langauge = "en"\n', "speech.toml:langauge is not known"),
+        ("speech", 'skills = ["kpopp"]\n', "Speech cannot trigger 'kpopp'"),
+        ("hearing", '[conductor]\nunknown = "dans"\n', "hearing.toml:conductor.unknown is 'dans'"),
+    ],
+)
+def test_a_rehearsal_says_what_the_show_would_stumble_over(tmp_path, name, text, said):
+    (tmp_path / "cat").mkdir()
+    (tmp_path / f"{name}.toml").write_text(text)
+    show = f'tracks = "cat"\nindex = "i"\naudio = "x.wav"\n{name} = "{name}.toml"\n'
+    (tmp_path / "show.toml").write_text(show)
+    with pytest.raises(DownbeatError, match=re.escape(said)):
+        run_rehearse(tmp_path / "show.toml", 8, False)
