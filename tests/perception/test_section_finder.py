@@ -110,7 +110,7 @@ def test_inputs_forget_what_is_older_than_they_look_back():
         other = sf.Frames(*(part.copy() for part in vars(whole).values()))
         other.long[changed] += 3.0
         # Running sums are rounded differently after other frames: not bit by bit.
-        assert np.allclose(Context(maps).push(other)[-1], last, atol=1e-4) == same
+        assert np.allclose(Context(maps).push(other)[-1], last, rtol=0.0, atol=1e-8) == same
 
 
 def test_a_tail_knows_its_rows_by_number():
