@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,124 +19,65 @@ from downbeat.perception.features import F32
 from downbeat.perception.section_finder import SectionFinder, Weights
 from downbeat.perception.source import Recording
 from downbeat.tools.errors import ToolError
+from downbeat.tools.eval_mashup import say
 from downbeat.tools.matcher_sounds import load_folder
+from downbeat.tools.section_score import SectionScore
 
 BLOCK = 800
 """Samples handed over at once: 50 ms, as the listener does."""
-NEAR_S, CLOSE_S, ROUGH_S = 0.5, 0.1, 1.0
 LEVEL_DB = 6.0
 """Pieces are cut together at levels that differ by at most this much."""
 MIN_RMS = 0.003
-LEAD_S = 5.0
-"""What happens in the first seconds of a mashup is not judged: nobody knows the first piece yet."""
+MIN_RECORDING_S = 31.0
+MIN_SECTION_S = 6.0
+"""So that the first cut is judged: it comes after `section_score.LEAD_S`."""
+MOST_DRAWS = 1000
+"""Passages drawn in a row that do not do, until there seem to be none."""
 
 
-@dataclass
-class SectionScore:
-    """Cuts found, and what was found besides.
+def sound_of(folder: Path, say: Callable[[str], None] = say) -> list[Recording]:
+    """Return the recordings of a folder at 16 kHz; what cannot be cut from is left out, named.
 
-    Attributes:
-        cuts: In the sound.
-        found: Of them, within 0.5 s.
-        close, rough: Of the cuts, those found within 0.1 s, and within 1 s.
-        told: Changes told.
-        error_s, latency_s: Of the cuts found [s].
-        seconds: Of sound.
-    """
-
-    cuts: int = 0
-    found: int = 0
-    close: int = 0
-    rough: int = 0
-    told: int = 0
-    error_s: list[float] = field(default_factory=list)
-    latency_s: list[float] = field(default_factory=list)
-    seconds: float = 0.0
-
-    @property
-    def recall(self) -> float:
-        """Share of the cuts that were found."""
-        return self.found / max(self.cuts, 1)
-
-    @property
-    def precision(self) -> float:
-        """Share of what was told that is a cut."""
-        return self.found / max(self.told, 1)
-
-    def add(self, told: Sequence[tuple[float, float]], cuts_s: Sequence[float]) -> None:
-        """Count one mashup; `told`: (where, when it was told) [s]."""
-        counted = [t for t in told if t[0] > LEAD_S]
-        self.told += len(counted)
-        self.cuts += len(cuts_s)
-        for cut, (where, when) in _matched(counted, cuts_s, NEAR_S):
-            self.found += 1
-            self.close += abs(where - cut) <= CLOSE_S
-            self.error_s.append(abs(where - cut))
-            self.latency_s.append(when - cut)
-        self.rough += len(_matched(counted, cuts_s, ROUGH_S))
-
-    def text(self) -> str:
-        """Return the score in a line."""
-        return (
-            f"recall {self.recall:.1%} of {self.cuts}, precision {self.precision:.1%} of "
-            f"{self.told}, within 0.1 s {self.close / max(self.cuts, 1):.1%}"
-        )
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the score as plain values."""
-        p50, p95 = np.percentile(self.latency_s or [np.nan], (50, 95))
-        return {
-            "cuts": self.cuts,
-            "told": self.told,
-            "recall": round(self.recall, 4),
-            "recall_95": interval(self.found, self.cuts),
-            "precision": round(self.precision, 4),
-            "precision_95": interval(self.found, self.told),
-            "within_0.1_s": round(self.close / max(self.cuts, 1), 4),
-            "within_1_s": round(self.rough / max(self.cuts, 1), 4),
-            "latency_s": {"p50": round(float(p50), 2), "p95": round(float(p95), 2)},
-        }
-
-
-def _matched(
-    told: Sequence[tuple[float, float]], cuts_s: Sequence[float], near_s: float
-) -> list[tuple[float, tuple[float, float]]]:
-    """Return (cut, what was told of it): the nearest, each only once."""
-    left, pairs = list(told), []
-    for cut in cuts_s:
-        near = [t for t in left if abs(t[0] - cut) <= near_s]
-        if near:
-            best = min(near, key=lambda t: abs(t[0] - cut))
-            left.remove(best)
-            pairs.append((cut, best))
-    return pairs
-
-
-def interval(count: int, total: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share (Wilson)."""
-    if not total:
-        return 0.0, 1.0
-    z, share = 1.96, count / total
-    middle = (share + z * z / (2 * total)) / (1.0 + z * z / total)
-    half = z * np.sqrt(share * (1.0 - share) / total + (z / (2.0 * total)) ** 2)
-    half /= 1.0 + z * z / total
-    return round(float(max(0.0, middle - half)), 4), round(float(min(1.0, middle + half)), 4)
-
-
-def sound_of(folder: Path) -> list[Recording]:
-    """Return the recordings of a folder at 16 kHz, those too short to cut from left out.
+    Args:
+        folder: Of audio files.
+        say: Told of each file that cannot be read, and of all that are too short.
 
     Raises:
-        ToolError: Fewer than two of them.
+        ToolError: Fewer than two are left.
+        PerceptionError: No folder of audio files.
     """
-    found = []
-    for recording in load_folder(folder).values():
-        samples = soxr.resample(recording.samples, recording.sample_rate_hz, sf.RATE_HZ)
-        found.append(Recording(recording.name, np.asarray(samples, np.float32), sf.RATE_HZ))
-    found = [one for one in found if one.duration_s >= 31.0]
-    if len(found) < 2:
-        raise ToolError(f"{folder} holds fewer than two recordings of 31 s or more to cut from.")
-    return found
+    found = load_folder(folder, say).values()
+    long_enough = _at_least(MIN_RECORDING_S, list(found), str(folder), say)
+    return [
+        Recording(
+            one.name,
+            np.asarray(soxr.resample(one.samples, one.sample_rate_hz, sf.RATE_HZ), np.float32),
+            sf.RATE_HZ,
+        )
+        for one in long_enough
+    ]
+
+
+def _at_least(
+    seconds: float, tracks: Sequence[Recording], whose: str, say: Callable[[str], None]
+) -> list[Recording]:
+    """Return the recordings that are long enough, two or more; says which are not.
+
+    Raises:
+        ToolError: Fewer than two are.
+    """
+    kept = [one for one in tracks if one.duration_s >= seconds]
+    short = [f"{one.name} ({one.duration_s:.1f} s)" for one in tracks if one.duration_s < seconds]
+    if len(kept) < 2:
+        longest = sorted((one.duration_s for one in tracks), reverse=True)
+        possible = f"; the second longest has {longest[1]:.1f} s" if len(longest) > 1 else ""
+        raise ToolError(
+            f"{whose} holds {len(kept)} recording{'' if len(kept) == 1 else 's'} of {seconds:g} s "
+            f"or more, two are needed to cut from{possible}."
+        )
+    if short:
+        say(f"left out (shorter than {seconds:g} s): {', '.join(short)}")
+    return kept
 
 
 def mashup_of(
@@ -155,10 +95,13 @@ def mashup_of(
         section_s: Shortest and longest section [s].
         rng: Chooses tracks, passages and levels.
         fade_s: Over which one section fades into the next [s]; the cut is in its middle.
+
+    Raises:
+        ToolError: There are no two with a passage that is loud enough.
     """
     parts: list[F32] = []
     cuts: list[float] = []
-    length, last = 0, -1
+    length, last, refused = 0, -1, 0
     while length < seconds * sf.RATE_HZ:
         number = int(rng.integers(len(tracks)))
         track = tracks[number]
@@ -168,7 +111,13 @@ def mashup_of(
         part = track.samples[first : first + count]
         quarters = part[: len(part) // 8 * 8].reshape(8, -1).astype(np.float64)
         loud = float(np.sqrt((quarters**2).mean(1)).min())
-        if number == last or loud < MIN_RMS:
+        refused = refused + 1 if number == last or loud < MIN_RMS else 0
+        if refused > MOST_DRAWS:
+            raise ToolError(
+                f"Of {len(tracks)} recordings no two have a passage of {section_s[0]:g} s that "
+                f"sounds throughout (each eighth of it at {MIN_RMS:g} rms or more)."
+            )
+        if refused:
             continue
         if parts:
             cuts.append(length / sf.RATE_HZ - 0.5 * fade_s)
@@ -209,33 +158,71 @@ def eval_sections(
     as_json: bool,
     fade_s: float = 0.0,
 ) -> int:
-    """Score mashups of a folder with sections of each length; 0."""
+    """Score mashups of a folder with sections of each length; 0.
+
+    Raises:
+        ToolError: A length that cannot be judged, or fewer than two recordings that long.
+        PerceptionError: No folder of audio files.
+    """
+    _check(section_s, mashups, fade_s)
     tracks = sound_of(folder)
+    pools = {
+        f"{length_s:g}": (length_s, _at_least(length_s, tracks, str(folder), say))
+        for length_s in section_s
+    }
     rows: dict[str, Any] = {}
     spent_s = heard_s = 0.0
-    for length_s in section_s:
+    for name, (length_s, pool) in pools.items():
         score = SectionScore()
         numbers = range(mashups)
-        for number in progress(numbers, f"{length_s:g} s", disable=as_json, transient=True):
+        for number in progress(numbers, f"{name} s", disable=as_json, transient=True):
             rng = np.random.default_rng([seed, number, round(length_s * 1000)])
-            sound, cuts = mashup_of(tracks, 6.0 * length_s, (length_s, length_s), rng, fade_s)
+            sound, cuts = mashup_of(pool, 6.0 * length_s, (length_s, length_s), rng, fade_s)
             begin = time.process_time()
             told = find_changes(sound)
             spent_s += time.process_time() - begin
             heard_s += len(sound) / sf.RATE_HZ
             score.add(told, cuts)
-        rows[f"{length_s:g}"] = score.as_json()
+        rows[name] = score.as_json() | {"recordings": len(pool)}
     result = {"sections": rows, "share_of_core": round(spent_s / heard_s, 4), "seed": seed}
     if as_json:
         print(json.dumps(result))
-        return 0
+    else:
+        _print(result)
+    return 0
+
+
+def _check(section_s: Sequence[float], mashups: int, fade_s: float) -> None:
+    """Refuse what cannot be judged.
+
+    Raises:
+        ToolError: It cannot.
+    """
+    if not section_s:
+        raise ToolError("--section-seconds needs at least one length, e.g. 20.")
+    for length_s in section_s:
+        if not MIN_SECTION_S <= length_s < float("inf"):
+            raise ToolError(
+                f"--section-seconds {length_s:g} cannot be judged; valid are {MIN_SECTION_S:g} s "
+                "and more, up to the length of the recordings."
+            )
+    longest_s = 0.5 * min(section_s)
+    if not 0.0 <= fade_s <= longest_s:
+        raise ToolError(
+            f"--fade-seconds {fade_s:g} does not fit the sections; valid are 0 to half the "
+            f"shortest of --section-seconds ({longest_s:g})."
+        )
+    if mashups < 1:
+        raise ToolError(f"--mashups {mashups} must be at least 1.")
+
+
+def _print(result: dict[str, Any]) -> None:
     table = Table("sections", "cuts", "told", "recall", "precision", "within 0.1 s", "latency p95")
-    for name, row in rows.items():
+    for name, row in result["sections"].items():
         table.add_row(
             f"{name} s", str(row["cuts"]), str(row["told"]), f"{row['recall']:.1%}",
             f"{row['precision']:.1%}", f"{row['within_0.1_s']:.1%}", f"{row['latency_s']['p95']} s",
         )  # fmt: skip
     console = Console()
     console.print(table)
-    console.print(f"{spent_s / heard_s:.2%} of one core", highlight=False)
-    return 0
+    console.print(f"{result['share_of_core']:.2%} of one core", highlight=False)

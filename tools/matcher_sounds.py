@@ -13,6 +13,7 @@ import numpy as np
 import soxr
 from scipy.signal import butter, fftconvolve, sosfilt
 
+from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 from downbeat.perception.source import Recording, audio_files, load_recording
 from downbeat.tools.mashup import SAMPLE_RATE_HZ
@@ -128,10 +129,27 @@ def _brown(count: int, rng: np.random.Generator) -> F32:
     return 0.1 * walk / walk.std()
 
 
-def load_folder(folder: Path) -> dict[str, Recording]:
-    """Decode a folder of recordings, by name."""
-    found = (load_recording(path) for path in audio_files(folder))
-    return {recording.name: recording for recording in found}
+def load_folder(folder: Path, say: Callable[[str], None] | None = None) -> dict[str, Recording]:
+    """Decode a folder of recordings, by name.
+
+    Args:
+        folder: Of audio files.
+        say: Told of each file that is left out; None: such a file is an error.
+
+    Raises:
+        PerceptionError: No folder of audio files; without `say`, a file that cannot be read.
+    """
+    found: dict[str, Recording] = {}
+    for path in audio_files(folder):
+        try:
+            recording = load_recording(path)
+        except PerceptionError as error:
+            if say is None:
+                raise
+            say(f"left out: {error}")
+            continue
+        found[recording.name] = recording
+    return found
 
 
 def conditions(speech: Path | None) -> dict[str, Condition | None]:

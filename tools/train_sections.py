@@ -28,8 +28,9 @@ from downbeat.perception.section_finder import (
     Weights,
 )
 from downbeat.perception.source import Recording
-from downbeat.tools.eval_sections import SectionScore, mashup_of, sound_of
+from downbeat.tools.eval_sections import mashup_of, sound_of
 from downbeat.tools.section_mashups import MASHUP_S, Pool, pool_of, varied_mashup
+from downbeat.tools.section_score import SectionScore
 
 THRESHOLD = -0.1
 """Log odds from which a moment is a change, unless recordings are held apart to choose it."""

@@ -1,20 +1,19 @@
 """Section changes: their score, their mashups, and that what is learned tells pieces apart."""
 
+import json
+
 import numpy as np
 import pytest
+import soundfile
 
 from downbeat.perception import section_features as sf
 from downbeat.perception.section_finder import MIN_PAST, load_weights
 from downbeat.perception.source import Recording
-from downbeat.tools.eval_sections import (
-    NEAR_S,
-    SectionScore,
-    find_changes,
-    interval,
-    mashup_of,
-    sound_of,
-)
+from downbeat.tools import eval_sections as eval_module
+from downbeat.tools.errors import ToolError
+from downbeat.tools.eval_sections import eval_sections, find_changes, mashup_of, sound_of
 from downbeat.tools.section_mashups import MASHUP_S, pool_of, varied_mashup
+from downbeat.tools.section_score import NEAR_S, SectionScore, interval
 from downbeat.tools.train_sections import frames_of, inputs_of, learn, nearest_frames, save
 
 RATE = sf.RATE_HZ
@@ -52,6 +51,62 @@ def test_a_change_is_counted_once_and_where_it_is():
 def test_the_interval_of_a_share_is_wilsons():
     assert interval(45, 50) == pytest.approx((0.7864, 0.9565), abs=1e-3)
     assert interval(0, 0) == (0.0, 1.0)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two recordings of 45 s, one of 35, and files that are none or too short."""
+    for number, seconds in ((0, 45.0), (1, 45.0), (2, 35.0)):
+        soundfile.write(tmp_path / f"piece{number}.wav", piece(number, seconds).samples, RATE)
+    soundfile.write(tmp_path / "jingle.wav", piece(3, 4.0).samples, RATE)
+    soundfile.write(tmp_path / "empty.wav", np.zeros(0, np.float32), RATE)
+    (tmp_path / "broken.flac").write_bytes(b"nonsense")
+    return tmp_path
+
+
+def test_a_bad_file_is_named_in_a_sentence_and_left_out(folder):
+    said = []
+    names = [one.name for one in sound_of(folder, said.append)]
+    assert names == ["piece0", "piece1", "piece2"]
+    assert len(said) == 3 and all(words.startswith("left out") for words in said)
+    for name in ("broken.flac is not an audio file", "empty.wav holds no usable", "jingle (4.0 s)"):
+        assert sum(name in words for words in said) == 1, said
+    (folder / "piece0.wav").unlink()
+    (folder / "piece1.wav").write_bytes(b"nonsense")
+    with pytest.raises(ToolError, match="holds 1 recording of 31 s or more, two are needed"):
+        sound_of(folder, said.append)
+
+
+def test_recordings_shorter_than_a_section_are_left_out(folder, capsys, monkeypatch):
+    monkeypatch.setattr(eval_module, "find_changes", lambda sound: [])  # cuts are at stake here
+    assert eval_sections(folder, (20.0, 40.0), 1, 0, True) == 0
+    out, err = capsys.readouterr()
+    rows = json.loads(out)["sections"]
+    assert {name: row["recordings"] for name, row in rows.items()} == {"20": 3, "40": 2}
+    assert {row["cuts"] for row in rows.values()} == {5}  # six sections each, none cut short
+    assert "left out (shorter than 40 s): piece2 (35.0 s)" in err
+
+
+@pytest.mark.parametrize(
+    ("section_s", "mashups", "fade_s", "words"),
+    [
+        ((60.0,), 1, 0.0, "0 recordings of 60 s or more.*second longest has 45.0 s"),
+        ((20.0, 0.0), 1, 0.0, "--section-seconds 0 cannot be judged"),
+        ((), 1, 0.0, "at least one length"),
+        ((float("nan"),), 1, 0.0, "--section-seconds nan"),
+        ((20.0,), 1, 30.0, "--fade-seconds 30 does not fit.*0 to half"),
+        ((20.0,), 0, 0.0, "--mashups 0"),
+    ],
+)
+def test_sections_that_cannot_be_cut_are_one_sentence(folder, section_s, mashups, fade_s, words):
+    with pytest.raises(ToolError, match=words):
+        eval_sections(folder, section_s, mashups, 0, True, fade_s)
+
+
+def test_silence_to_cut_from_is_one_sentence():
+    silent = [Recording(f"s{n}", np.zeros(40 * RATE, np.float32), RATE) for n in range(3)]
+    with pytest.raises(ToolError, match="no two have a passage of 10 s that sounds"):
+        mashup_of([piece(0), *silent], 60.0, (10.0, 10.0), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("fade_s", [0.0, 0.5])

@@ -188,9 +188,10 @@ class Sections:
     """Hear the cuts of mashups without knowing any of their tracks."""
 
     tracks: Path
-    """Folder of audio files (wav, flac, ogg, mp3); those under 31 s are left out."""
+    """Folder of audio files (wav, flac, ogg, mp3); what cannot be read or has under 31 s is left
+    out, named."""
     section_seconds: tuple[float, ...] = (20.0, 30.0)
-    """Lengths of sections [s]."""
+    """Lengths of sections [s], 6 or more; for each, shorter recordings are left out, named."""
     mashups: int = 20
     """Mashups of six sections for each length."""
     seed: int = 0
