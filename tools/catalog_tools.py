@@ -30,6 +30,8 @@ from downbeat.tools.eval_mashup import dance_names, say
 from downbeat.tools.recordings import INDEX_NAME
 
 MOST_NAMED = 20
+WINDOW_S = (1.0, 10.0)
+"""Shortest and longest window that a catalogue is asked with [s]."""
 MATCHERS: dict[str, type[AlignmentMatcher] | type[ConstellationMatcher]] = {
     "alignment": AlignmentMatcher,
     "constellation": ConstellationMatcher,
@@ -103,7 +105,7 @@ def _summary(index: Index, changes: Changes) -> str:
 def match(
     index: Path, audio: Path, at_s: float, seconds: float, as_json: bool, matcher: str
 ) -> int:
-    """Ask what a recording is; 0 if accepted.
+    """Ask what a recording is; 0 if accepted. What is left after `at_s` is taken whole if shorter.
 
     Raises:
         ToolError: The window does not fit the recording.
@@ -111,13 +113,16 @@ def match(
     """
     recording = load_recording(audio)
     rate, length_s = recording.sample_rate_hz, recording.duration_s
-    seconds = min(seconds, length_s) if at_s == 0.0 else seconds
-    if not 1.0 <= seconds <= 10.0 or not 0.0 <= at_s <= length_s - seconds + 1e-6:
+    shortest_s, longest_s = WINDOW_S
+    if not shortest_s <= seconds <= longest_s or not 0.0 <= at_s <= length_s - shortest_s:
         raise ToolError(
             f"A window of {seconds:g} s at {at_s:g} s does not fit {audio} ({length_s:.1f} s); "
-            "valid lengths are 1 to 10 s, within the recording."
+            f"valid are lengths of {shortest_s:g} to {longest_s:g} s that begin {shortest_s:g} s "
+            "or more before its end."
         )
     window = recording.samples[round(at_s * rate) : round((at_s + seconds) * rate)]
+    if len(window) < round(seconds * rate):
+        say(f"{audio} ends after {len(window) / rate:.1f} s of the window: it is asked with these.")
     asked: MusicMatcher = MATCHERS[matcher].load(index_path(index))
     result = asked.query(window, rate)
     if as_json:

@@ -183,6 +183,21 @@ def test_match_prints_its_answer_as_json(audio, tmp_path, analysed, capsys, matc
     assert found["tau_s"] == pytest.approx(3.0, abs=0.05)
 
 
+def test_near_its_end_a_recording_is_asked_with_the_rest(audio, tmp_path, analysed, capsys):
+    out = tmp_path / "out"
+    build(audio, out)
+    clip = audio / "song2.wav"  # 12 s
+    assert catalog_tools.match(out, clip, 9.0, 5.0, True, "alignment") == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["tau_s"] == pytest.approx(9.0, abs=0.05)
+    assert "ends after 3.0 s of the window" in said.err
+    catalog_tools.match(out, clip, 11.0, 5.0, True, "alignment")
+    assert "ends after 1.0 s" in capsys.readouterr().err
+    for at_s, seconds in ((11.5, 5.0), (30.0, 5.0), (-1.0, 5.0), (0.0, 0.5), (float("nan"), 5.0)):
+        with pytest.raises(ToolError, match=r"1 to 10 s that begin 1 s or more before its end"):
+            catalog_tools.match(out, clip, at_s, seconds, True, "alignment")
+
+
 def test_what_tracks_sound_like_is_kept_up_to_date_beside_the_index(
     audio, tmp_path, analysed, capsys
 ):

@@ -75,9 +75,9 @@ class Match:
     audio: tyro.conf.Positional[Path]
     """Recording."""
     at: float = 0.0
-    """Start of the window in the recording [s]."""
+    """Start of the window in the recording [s], 1 s or more before its end."""
     seconds: float = 5.0
-    """Length of the window [s]; a shorter recording is taken whole."""
+    """Length of the window [s], 1 to 10; a shorter rest of the recording is taken whole."""
     matcher: Literal["alignment", "constellation"] = "alignment"
     """Alignment of whitened spectra, or Wang's landmarks (confidence from 0 to 1)."""
     json: bool = False
