@@ -119,13 +119,8 @@ def _numbers_table(metrics: dict[str, Any]) -> Table:
     table.add_row("body behind the music", _value(metrics["physical_lag_ms"], "{:.0f} ms"))
     kinds = metrics["transitions"]
     table.add_row("transitions", Text(", ".join(f"{n} {k}" for k, n in kinds.items())))
-    checks = metrics["checks"]
-    if checks["asked"]:
-        told = f"{checks['answered']} of {checks['asked']} plans answered, {checks['refused']} "
-        told += f"refused; {checks['rollouts_fallen']} of {checks['rollouts']} rollouts fell"
-        if checks["latency_ms"] is not None:
-            told += f"; {checks['latency_ms']:.0f} ms each"
-        table.add_row("checked ahead", Text(told))
+    if metrics["checks"]["asked"]:
+        table.add_row("checked ahead", Text(_checked(metrics["checks"])))
     chunks = metrics["chunks"]
     table.add_row("windows named right", Text(f"{chunks['correct']} of {chunks['total']}"))
     late = _spread(", lateness", control["lateness_us"], ("p50", "p99", "max"), "us")
@@ -140,6 +135,18 @@ def _numbers_table(metrics: dict[str, Any]) -> Table:
         table.add_row("control, re-executed", Text(word, style=GOOD if equal else BAD))
     table.add_row("plant, share of real time", _value(metrics["plant_realtime_factor"], "{:.3f}"))
     return table
+
+
+def _checked(checks: dict[str, Any]) -> str:
+    """Return what came of the plans that the checker was asked about; the timeline shows each."""
+    parts = [f"{checks['simulated']} of {checks['asked']} plans simulated"]
+    parts += [f"{checks['no_time']} without time"] if checks["no_time"] else []
+    parts += [f"{checks['unanswered']} unanswered"] if checks["unanswered"] else []
+    told = ", ".join([*parts, f"{checks['refused']} refused"])
+    told += f"; {checks['rollouts_fallen']} of {checks['rollouts']} rollouts fell"
+    if checks["latency_ms"] is not None:
+        told += f"; {checks['latency_ms']:.0f} ms each"
+    return told
 
 
 def _zero(*counts: int) -> Text:

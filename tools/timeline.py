@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from downbeat.lcm_types import music_match_t
 from downbeat.tools import palette
 from downbeat.tools.metrics import first_sample_utime
+from downbeat.tools.metrics_checks import checks_of
 from downbeat.tools.metrics_sections import fallen_spans
 from downbeat.tools.runlog import AUDIO_NAME, LOG_NAME, RunLog, read_run
-from downbeat.tools.timeline_panel import TOP, WAVE_HZ, Check, Picture, Span, draw_panel
+from downbeat.tools.timeline_panel import TOP, WAVE_HZ, Picture, Span, draw_panel
 from downbeat.tools.timeline_speech import SPEECH_TOP, said_lines
 from downbeat.tools.truth import TRUTH_NAME, Truth, read_truth
 
@@ -122,28 +123,6 @@ def _heard(log: RunLog, truth: Truth, zero_utime: int) -> list[Span]:
     return spans(np.array(times), np.array(states, dtype=np.str_))
 
 
-def checks_of(log: RunLog, zero_utime: int) -> list[Check]:
-    """Return the plans that were simulated, in order."""
-    answers = {int(m.query_id): m for m in log.events["TRANSITION_VERDICT"]}
-    refused = {
-        (int(m.request_id), m.skill)
-        for m in log.events["SKILL_STATUS"]
-        if "rollouts from here fell" in m.reason and m.reason.startswith("not ")
-    }
-    found = []
-    for query in log.events["TRANSITION_QUERY"]:
-        answer = answers.get(int(query.query_id))
-        asked_s = (query.header.utime - zero_utime) * 1e-6
-        if answer is None or answer.num_rollouts == 0:
-            found.append(Check(asked_s, None, 0, 0, False))
-            continue
-        answered_s = (answer.header.utime - zero_utime) * 1e-6
-        is_refused = (int(query.request_id), query.to_skill) in refused
-        fallen, count = int(answer.num_fallen), int(answer.num_rollouts)
-        found.append(Check(asked_s, answered_s, fallen, count, is_refused and fallen > 0))
-    return found
-
-
 def _envelope(audio: Path, rate_hz: int = WAVE_HZ) -> NDArray[np.float64]:
     """Return the sound's peak level, 0..1, (n,)."""
     import soundfile
@@ -211,7 +190,7 @@ def _draw_footer(figure: Any, height_in: float) -> None:
         ),
         Patch(facecolor="#9aa0b3", hatch="////", edgecolor="#10121a", label="cross-fade"),
         Patch(color=palette.GOOD, label="locked on the right track, plan proven"),
-        Patch(color=palette.WARNING, label="candidate"),
+        Patch(color=palette.WARNING, label="candidate, not simulated"),
         Patch(color=palette.BAD, label="wrong track, missed (\u2717), refused, fall"),
     ]
     figure.legend(

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from downbeat.tools import palette
+from downbeat.tools.metrics_checks import Check
+from downbeat.tools.timeline_checks import CHECK_ROW, draw_bar, draw_checks
 from downbeat.tools.timeline_speech import (
     ANSWER_ROW,
     SAID_ROW,
@@ -24,10 +26,8 @@ CHARACTER_PX = 11.8
 """Of the labels at their full size."""
 WAVE_HZ = 40
 TRACK_ROW, ASKED_ROW, DANCED_ROW = (3.05, 0.5), (2.05, 0.72), (0.95, 0.72)
-HEARD_ROW, CHECK_ROW = (0.52, 0.2), (0.12, 0.2)
+HEARD_ROW = (0.52, 0.2)
 """Lower edge and height of each row, in the panel's own units."""
-LABEL_SHARE = 0.05
-"""Width of a check's label as a share of a panel."""
 TOP = 3.95
 
 
@@ -38,25 +38,6 @@ class Span:
     start_s: float
     end_s: float
     value: str
-
-
-@dataclass(frozen=True)
-class Check:
-    """A plan that was simulated before it was made.
-
-    Attributes:
-        asked_s: Of the show.
-        answered_s: None: never.
-        fallen: Rollouts that fell.
-        count: Rollouts.
-        refused: The plan was not made.
-    """
-
-    asked_s: float
-    answered_s: float | None
-    fallen: int
-    count: int
-    refused: bool
 
 
 @dataclass(frozen=True)
@@ -121,33 +102,17 @@ def draw_panel(axes: Any, picture: Picture, start_s: float, end_s: float) -> Non
     _draw_tracks(axes, picture)
     _draw_skills(axes, picture)
     _draw_heard(axes, picture)
-    _draw_checks(axes, picture, start_s, end_s)
+    draw_checks(axes, picture.checks, start_s, end_s)
     _draw_boundaries(axes, picture, start_s, end_s)
     _draw_falls(axes, picture)
-
-
-def _bar(axes: Any, row: tuple[float, float], span: tuple[float, float], **style: Any) -> None:
-    from matplotlib.patches import FancyBboxPatch
-
-    bottom, height = row
-    start_s, end_s = span
-    axes.add_patch(
-        FancyBboxPatch(
-            (start_s, bottom),
-            max(end_s - start_s, 0.0),
-            height,
-            boxstyle="round,pad=0,rounding_size=0.12",
-            mutation_aspect=0.35,
-            linewidth=0,
-            **style,
-        )
-    )
 
 
 def _draw_tracks(axes: Any, picture: Picture) -> None:
     bottom, height = TRACK_ROW
     for segment in picture.truth.segments:
-        _bar(axes, TRACK_ROW, (segment.start_s + 0.06, segment.end_s - 0.06), color=palette.PANEL)
+        draw_bar(
+            axes, TRACK_ROW, (segment.start_s + 0.06, segment.end_s - 0.06), color=palette.PANEL
+        )
         span = Span(segment.start_s, segment.end_s, segment.track)
         _label(axes, span, bottom + height + 0.17, shorten=True)
     wave = picture.wave
@@ -170,7 +135,7 @@ def _draw_skills(axes: Any, picture: Picture) -> None:
     for row, row_spans in ((ASKED_ROW, asked), (DANCED_ROW, picture.danced)):
         for span in row_spans:
             colour = picture.colours[span.value]
-            _bar(axes, row, (span.start_s + gap_s, span.end_s - gap_s), color=colour)
+            draw_bar(axes, row, (span.start_s + gap_s, span.end_s - gap_s), color=colour)
             ink = palette.INK if span.value in palette.STANDING else palette.BACKGROUND
             _label(axes, span, row[0] + row[1] / 2, colour=ink)
     bottom, height = DANCED_ROW
@@ -234,30 +199,6 @@ def _draw_heard(axes: Any, picture: Picture) -> None:
             ymax=(bottom + height) / axes.get_ylim()[1],
             color=colours[span.value],
             linewidth=0,
-        )
-
-
-def _draw_checks(axes: Any, picture: Picture, start_s: float, end_s: float) -> None:
-    """Draw how long each check took, and how many of its rollouts fell."""
-    bottom, height = CHECK_ROW
-    shown_s = 0.006 * (end_s - start_s)
-    checks = [check for check in picture.checks if start_s <= check.asked_s < end_s]
-    for check, after in zip(checks, [*checks, None][1:], strict=True):
-        done = check.answered_s is not None
-        colour = palette.BAD if check.refused or not done else palette.GOOD
-        answered_s = check.answered_s if check.answered_s is not None else check.asked_s
-        right_s = max(answered_s, check.asked_s + shown_s)
-        _bar(axes, CHECK_ROW, (check.asked_s, right_s), color=colour)
-        if after is not None and after.asked_s - right_s < LABEL_SHARE * (end_s - start_s):
-            continue  # two labels would lie on each other
-        axes.text(
-            right_s + 0.5 * shown_s,
-            bottom + height / 2,
-            f"{check.fallen}/{check.count}" if done else "no answer",
-            color=palette.MUTED,
-            size=9,
-            va="center",
-            ha="left",
         )
 
 

@@ -60,6 +60,8 @@ class Script:
     """(start_s, end_s) of a tripped fault."""
     stall_s: tuple = (1e9, 1e9)
     """(start_s, end_s) in which the plant did not simulate."""
+    checks: tuple = ()
+    """(asked_s, rollouts or None: no answer, fallen, refused), answered after 0.1 s."""
 
 
 class Writer:
@@ -106,7 +108,8 @@ def write_run(folder, script=None):
     source.sample_rate_hz, source.duration_s, source.name = 16000, 40.0, "mashup.wav"
     writer.write("AUDIO_SOURCE", T0, source)
     end_s = script.sections[-1][1]
-    events = write_statuses(script)
+    events = [("SKILL_STATUS", *event) for event in write_statuses(script)]
+    events = sorted([*events, *write_checks(script)], key=lambda event: event[1])
     for tick in range(round((end_s + 1.5) / 0.02)):
         utime = T0 + tick * TICK_US
         show_s = (utime - FIRST_SAMPLE) * 1e-6
@@ -117,8 +120,8 @@ def write_run(folder, script=None):
             write_state(writer, script, utime, show_s)
         if tick % 25 == 0 and 0 <= show_s < end_s:
             write_match(writer, script, utime, show_s)
-        while events and events[0][0] <= utime:
-            writer.write("SKILL_STATUS", *events.pop(0))
+        while events and events[0][1] <= utime:
+            writer.write(*events.pop(0))
     writer.log.close()
     write_truth_file(folder, script)
     return folder
@@ -201,6 +204,32 @@ def write_statuses(script):
     refused.request_id, refused.state, refused.reason = 99, t.skill_status_t.REFUSED, "no."
     refused.phase_s = float("nan")
     return [(T0, refused), *events]
+
+
+def write_checks(script):
+    """TRANSITION_QUERY, TRANSITION_VERDICT and SKILL_STATUS events as (channel, utime, msg)."""
+    events = []
+    for number, (asked_s, rollouts, fallen, refused) in enumerate(script.checks, start=1):
+        utime = FIRST_SAMPLE + round(asked_s * 1e6)
+        query = t.transition_query_t()
+        query.query_id, query.request_id, query.num_rollouts = number, 100 + number, 32
+        query.from_skill, query.to_skill = "sway", "disco"
+        query.deadline_utime = utime + 200_000
+        query.qpos[3] = 1.0
+        events.append(("TRANSITION_QUERY", utime, query))
+        if rollouts is None:
+            continue
+        answer = t.transition_verdict_t()
+        answer.query_id, answer.num_rollouts, answer.num_fallen = number, rollouts, fallen
+        answer.verdict = answer.SAFE if rollouts else answer.TIMED_OUT
+        events.append(("TRANSITION_VERDICT", utime + 100_000, answer))
+        if refused:
+            status = t.skill_status_t()
+            status.request_id, status.skill, status.state = 100 + number, "disco", status.PLANNING
+            status.phase_s = float("nan")
+            status.reason = f"not fade_0.3: {fallen} of {rollouts} rollouts from here fell"
+            events.append(("SKILL_STATUS", utime + 120_000, status))
+    return events
 
 
 def write_truth_file(folder, script):
