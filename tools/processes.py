@@ -139,7 +139,10 @@ def _conductor(show: Show, bus: Bus, clock: WallClock) -> int:
 
 
 def _speech(show: Show, bus: Bus, clock: WallClock) -> int:
-    node = make_speech(show, bus, clock.utime(), is_simulated_time=False)
+    def say(line: str) -> None:
+        print(line, flush=True)
+
+    node = make_speech(show, bus, clock.utime(), is_simulated_time=False, say=say)
     if node is None:
         raise ToolError(f"{show.folder / SHOW_NAME} has no speech; name a speech.toml (speech).")
     run_node(node, clock, bus)

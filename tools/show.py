@@ -215,7 +215,13 @@ def show_speech(show: Show) -> Any:
     return config
 
 
-def make_speech(show: Show, bus: Bus, first_utime: int, is_simulated_time: bool) -> Any:
+def make_speech(
+    show: Show,
+    bus: Bus,
+    first_utime: int,
+    is_simulated_time: bool,
+    say: Callable[[str], None] | None = None,
+) -> Any:
     """Build the speech process; None if the show has none.
 
     Args:
@@ -223,6 +229,7 @@ def make_speech(show: Show, bus: Bus, first_utime: int, is_simulated_time: bool)
         bus: Endpoint of the process.
         first_utime: Time of the first sample of spoken.wav [us].
         is_simulated_time: Work at once instead of in a thread.
+        say: Told in one line what the process hears and does, once that is loaded.
     """
     from downbeat.tools.speech_parts import build_speech
 
@@ -230,8 +237,9 @@ def make_speech(show: Show, bus: Bus, first_utime: int, is_simulated_time: bool)
     if config is None:
         return None
     titles = {name: track.title for name, track in show_tracks(show).items()}
+    skills = show_skills(show)
     return build_speech(
-        config, show_skills(show), bus, show.folder, first_utime, is_simulated_time, titles
+        config, skills, bus, show.folder, first_utime, is_simulated_time, titles, say
     )
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from downbeat.lcm_types.channels import CHANNELS
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.grounding import NOT_BY_VOICE, STAND, Grounder
 from downbeat.perception.intent_model import IntentModel
@@ -19,6 +20,7 @@ from downbeat.perception.speech_config import SpeechConfig, make_conversation, m
 from downbeat.perception.speech_mouth import Mouth
 from downbeat.perception.speech_node import Ears, SpeechNode
 from downbeat.perception.speech_work import SimulatedWorker, ThreadWorker
+from downbeat.perception.tts import SilentVoice
 from downbeat.perception.vad import Vad
 from downbeat.policies.manifest_types import SkillManifest
 from downbeat.runtime.bus import Bus
@@ -44,11 +46,7 @@ def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears
     Raises:
         PerceptionError: Something that the configuration asks for is missing.
     """
-    allowed = {
-        name: one
-        for name, one in skills.items()
-        if not config.skills or name in config.skills or name == "stand"
-    }
+    allowed = allowed_skills(config, skills)
     said = sayable(allowed)
     return Ears(
         Segmenter(Vad(), segments_of(config)),
@@ -57,6 +55,35 @@ def make_ears(config: SpeechConfig, skills: Mapping[str, SkillManifest]) -> Ears
         make_conversation(config.chat, os.environ),
         make_voice(config.voice, os.environ),
     )
+
+
+def allowed_skills(
+    config: SpeechConfig, skills: Mapping[str, SkillManifest]
+) -> dict[str, SkillManifest]:
+    """Return what speech may ask for, and stand, which "stop" asks for."""
+    return {
+        name: one
+        for name, one in skills.items()
+        if not config.skills or name in config.skills or name == STAND
+    }
+
+
+def introduction(config: SpeechConfig, ears: Ears, skills: Mapping[str, SkillManifest]) -> str:
+    """Return in one line what the process hears, understands and does, and on which channels."""
+    count = len(set(allowed_skills(config, skills)) - NOT_BY_VOICE - {STAND})
+    heard = f"hears AUDIO_CHUNK of {' or '.join(CHANNELS['AUDIO_CHUNK'].publishers)}"
+    asks = f"asks for {count} skill{'' if count == 1 else 's'} or a stop on SPEECH_INTENT"
+    answers = "answers nothing"
+    if ears.conversation is not None:
+        places = {"file": f"into {SPOKEN_NAME}", "card": "on the sound card", "none": "in silence"}
+        voice = config.voice
+        place = places.get(voice.output, f"on {voice.output}")
+        how = "as text" if isinstance(ears.voice, SilentVoice) else f"by {ears.voice.name} {place}"
+        gesture = f", with '{voice.gesture}'" if voice.gesture else ""
+        answers = f"answers from the {ears.conversation.name} on SPEECH {how}{gesture}"
+    keeps = f"; keeps what it hears in {config.keep_recordings}" if config.keep_recordings else ""
+    language = config.language or "any language"
+    return f"speech {heard} by {ears.recogniser.name} ({language}), {asks}, {answers}{keeps}"
 
 
 def sayable(skills: Mapping[str, SkillManifest]) -> dict[str, str]:
@@ -150,12 +177,16 @@ def build_speech(
     first_utime: int,
     is_simulated_time: bool,
     titles: Mapping[str, str],
+    say: Callable[[str], None] | None = None,
 ) -> SpeechNode:
     """Build the process; see `show.make_speech`."""
     speaker = make_speaker(config.voice.output, folder, first_utime)
+    ears = make_ears(config, skills)
+    if say is not None:
+        say(introduction(config, ears, skills))
     return SpeechNode(
         bus,
-        make_ears(config, skills),
+        ears,
         Mouth(bus, speaker, config.voice.gesture),
         SimulatedWorker() if is_simulated_time else ThreadWorker(),
         skills,

@@ -8,10 +8,25 @@ import pytest
 
 from downbeat.lcm_types import speech_t
 from downbeat.perception.recogniser_openai import OpenAIRecogniser
+from downbeat.perception.recognisers import RecogniserConfig
+from downbeat.perception.speech_config import (
+    ChatConfig,
+    SpeechConfig,
+    VoiceConfig,
+    make_conversation,
+    make_voice,
+)
+from downbeat.perception.speech_node import Ears
+from downbeat.perception.tts import SilentVoice
+from downbeat.policies.manifest import load_skills
+from downbeat.runtime.bus import MemqHub
+from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock
 from downbeat.runtime.errors import DownbeatError
+from downbeat.tools import speech_parts
 from downbeat.tools.bench_speech import Said, _latency
 from downbeat.tools.eval_spoken import _share
 from downbeat.tools.rehearse import run_rehearse
+from downbeat.tools.speech_parts import introduction
 from downbeat.tools.speech_stand_in import stand_in_service
 from downbeat.tools.timeline_speech import _fit, said_lines
 
@@ -68,6 +83,47 @@ def test_lines_show_what_became_of_what_was_said():
     assert [line.note for line in said] == ["wave", "answered"]
     assert said[0].colour != said[1].colour
     assert [(line.start_s, line.end_s) for line in answers] == [(7.0, 9.0)]
+
+
+def introduced(chat="table", **settings):
+    config = SpeechConfig(**{"voice": VoiceConfig(backend="text"), **settings})
+    ears = Ears(
+        None,
+        SimpleNamespace(name=config.recogniser.backend),
+        None,
+        make_conversation(ChatConfig(backend=chat)),
+        make_voice(config.voice),
+    )
+    return introduction(config, ears, load_skills())
+
+
+def test_speech_introduces_itself_in_a_line():
+    count = len(load_skills()) - 2  # all but stand, which is a stop, and talk
+    assert introduced() == (
+        "speech hears AUDIO_CHUNK of listener or source by pocketsphinx (en), "
+        f"asks for {count} skills or a stop on SPEECH_INTENT, "
+        "answers from the table on SPEECH as text, with 'talk'"
+    )
+    service = VoiceConfig(backend="openai", output="robot:eth0", gesture="")
+    said = introduced(
+        language="", skills=("wave",), recogniser=RecogniserConfig("openai"), voice=service,
+        keep_recordings="heard",
+    )  # fmt: skip
+    for words in ("by openai (any language)", "asks for 1 skill or", "by openai on robot:eth0;"):
+        assert words in said
+    assert said.endswith("keeps what it hears in heard") and "with '" not in said
+    assert introduced(chat="none").endswith("answers nothing")
+
+
+def test_the_speech_process_introduces_itself_when_it_is_ready(tmp_path, monkeypatch):
+    ears = Ears(None, SimpleNamespace(name="stand-in"), None, None, SilentVoice())
+    monkeypatch.setattr(speech_parts, "make_ears", lambda config, skills: ears)
+    config = SpeechConfig(voice=VoiceConfig(backend="text", output="none"))
+    said = []
+    bus = MemqHub().endpoint("speech", SimClock(SIM_EPOCH_UTIME))
+    node = speech_parts.build_speech(config, load_skills(), bus, tmp_path, 0, True, {}, said.append)
+    node.close()
+    assert [line.split(" by ")[1].split(" ")[0] for line in said] == ["stand-in"]
 
 
 def test_a_long_line_is_cut_at_a_word():
