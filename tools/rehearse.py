@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from downbeat.catalog.setlist import SetList, load_setlist
 from downbeat.catalog.tracks import Track
@@ -19,6 +17,8 @@ from downbeat.control.phase import PhaseFollower, PhaseLine
 from downbeat.control.planner import Plan, direct_plan
 from downbeat.control.prover import ProofConfig
 from downbeat.control.transitions import Goal, beat_s
+from downbeat.perception.grounding import NOT_BY_VOICE, STAND
+from downbeat.perception.speech_config import SpeechConfig
 from downbeat.perception.timeline import Span, Timeline
 from downbeat.policies.manifest import SkillManifest
 from downbeat.sim.batch.cells import Change, simulate
@@ -27,6 +27,7 @@ from downbeat.sim.batch.outcome import Outcome, join_outcomes
 from downbeat.sim.batch.perturb import BLOCK, draw_block, load_profile
 from downbeat.sim.batch.states import visit
 from downbeat.tools.errors import ToolError
+from downbeat.tools.rehearse_rows import AMBER, GREEN, RED, Row, print_rows, waits
 from downbeat.tools.show import (
     Show,
     load_show,
@@ -36,40 +37,13 @@ from downbeat.tools.show import (
     show_speech,
     show_tracks,
 )
+from downbeat.tools.speech_parts import allowed_skills
 
 BASE_UTIME = 1_000_000_000
 LOOK_AHEAD_US = 2_000_000
 SEED = 7_000
 """Robots of a rehearsal are not those of the sweep."""
 ALTERNATIVE_BEATS = 8
-GREEN, AMBER, RED = "direct", "via_stand", "red"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One change of a show.
-
-    Attributes:
-        show_s: When [s]; None for a change that may come at any time.
-        source: Skill before.
-        target: Skill after.
-        state: "direct": proven straight away; "via_stand": proven through stand; "red": neither.
-        plan: What control would do.
-        bound: 95 % upper bound of the atlas on the share that falls.
-        rollouts: Simulated now, from this very phase.
-        fallen: Of these.
-        advice: Why not, and the nearest proven alternative.
-    """
-
-    show_s: float | None
-    source: str
-    target: str
-    state: str
-    plan: str
-    bound: float
-    rollouts: int
-    fallen: int
-    advice: str = ""
 
 
 def run_rehearse(path: Path, rollouts: int, as_json: bool) -> int:
@@ -79,15 +53,18 @@ def run_rehearse(path: Path, rollouts: int, as_json: bool) -> int:
         ToolError: There is no atlas, or the show is wrong.
     """
     show = load_show(path)
-    show_hearing(show)  # what they name wrongly would stop the show as well
-    show_speech(show)
+    show_hearing(show)  # what it names wrongly would stop the show as well
+    speech = show_speech(show)
     atlas = show_atlas(show)
     if atlas is None:
         raise ToolError(
             f"{path} is played without proofs (transitions, atlas), so there is nothing to "
             "rehearse; make an atlas with `downbeat sweep`."
         )
-    rows = list(Rehearsals(show, atlas, rollouts).rows())
+    rehearsals = Rehearsals(show, atlas, rollouts)
+    rows = list(rehearsals.rows())
+    if speech is not None:
+        rows += rehearsals.spoken_rows(speech)
     if as_json:
         print(json.dumps([asdict(row) for row in rows]))
     else:
@@ -122,15 +99,18 @@ class Rehearsals:
 
     def rows(self) -> Iterator[Row]:
         """Yield the changes in the order of the show."""
-        config = self._show.config
-        if not config.set_list:
+        set_list = self._set_list()
+        if set_list is None:
             yield from self._surprises()
             return
-        set_list = load_setlist(self._show.path(config.set_list), self._tracks)
         spans = spans_of(set_list, self._tracks)
         timeline = Timeline(self._tracks, set_list)
         for before, after in zip(spans, spans[1:]):
             yield self._announced(timeline, before, after)
+
+    def _set_list(self) -> SetList | None:
+        name = self._show.config.set_list
+        return load_setlist(self._show.path(name), self._tracks) if name else None
 
     # ------------------------------------------------------------------ announced
 
@@ -221,6 +201,27 @@ class Rehearsals:
                 if a != b:
                     yield self._surprise(self._skills[a], self._skills[b])
 
+    def spoken_rows(self, speech: SpeechConfig) -> list[Row]:
+        """Return the changes that speech may ask for besides, at any time.
+
+        Whatever dances, speech may ask for a skill or a stop, or the robot answers with its
+        gesture; afterwards the music's skill, or an interrupted one, goes on.
+        """
+        set_list = self._set_list()
+        spoken = set(allowed_skills(speech, self._skills)) - NOT_BY_VOICE
+        spoken |= {speech.voice.gesture} - {""}
+        if set_list is None:
+            danced = {skill for track in self._tracks.values() for skill in skills_in(track)}
+            rehearsed = {(a, b) for a in danced for b in danced}
+        else:
+            danced = {span.skill for span in spans_of(set_list, self._tracks)}
+            rehearsed = set()
+        return [
+            replace(self._surprise(self._skills[a], self._skills[b]), asked_by="speech")
+            for a, b in spoken_changes(spoken, danced)
+            if (a, b) not in rehearsed
+        ]
+
     def _surprise(self, a: SkillManifest, b: SkillManifest) -> Row:
         cells = [c for c in self._atlas.cells.values() if (c.source, c.target) == (a.name, b.name)]
         good = [c for c in cells if float(c.bound.min()) <= self._limit]
@@ -229,11 +230,13 @@ class Rehearsals:
             return self._through_stand(a, b, None, why)
         share = {c.mode: float((c.bound <= self._limit).any(axis=1).mean()) for c in good}
         best = max(good, key=lambda c: share[c.mode])
-        wait = self._longest_wait_s(a, best.bound)
-        advice = "" if wait < 0.05 else f"waits at most {wait:.2f} s for a proven slot"
+        wait_s = self._longest_wait_s(a, best.bound)
         name = f"{best.mode}, {share[best.mode]:.0%} of the slots"
         bound = float(best.bound.min())
-        return Row(None, a.name, b.name, GREEN, name, bound, best.count, best.fallen, advice)
+        return Row(
+            None, a.name, b.name, GREEN, name, bound, best.count, best.fallen, waits(wait_s),
+            wait_s=round(wait_s, 3),
+        )  # fmt: skip
 
     def _longest_wait_s(self, a: SkillManifest, bound: np.ndarray) -> float:
         """Return the longest way from an unproven exit slot to a proven one [s]."""
@@ -245,6 +248,18 @@ class Rehearsals:
         return min(longest, len(proven)) * self._atlas.exits(a).width_s
 
 
+def spoken_changes(spoken: Iterable[str], danced: Iterable[str]) -> list[tuple[str, str]]:
+    """Return the changes (before, after) into what is spoken for and out of it, by what follows.
+
+    Args:
+        spoken: Skills that speech may ask for, with the gesture of an answer.
+        danced: Skills that the music may ask for.
+    """
+    spoken = {*spoken, STAND}
+    names = sorted({*spoken, *danced})
+    return [(a, b) for b in names for a in names if a != b and (a in spoken or b in spoken)]
+
+
 def skills_in(track: Track) -> set[str]:
     """Return every skill that a track asks for."""
     return {skill for _, _, skill in track.sections(0.0, track.duration_s)}
@@ -253,33 +268,3 @@ def skills_in(track: Track) -> set[str]:
 def _line(timeline: Timeline, span: Span, skill: SkillManifest, utime: int) -> PhaseLine:
     fit = timeline.phase(span, skill, utime)
     return PhaseLine(fit.utime, fit.phase_s, fit.rate)
-
-
-def _clock(show_s: float) -> str:
-    return f"{int(show_s // 60)}:{show_s % 60:04.1f}"
-
-
-MARKS = {GREEN: "[green]✔[/]", AMBER: "[yellow]via stand[/]", RED: "[bold red]✘[/]"}
-
-
-def print_rows(rows: Sequence[Row]) -> None:
-    """Print the list for people."""
-    table = Table(box=None, pad_edge=False)
-    for title in ("at", "from", "to", "plan", "falls, at most", "simulated now", "", "remark"):
-        table.add_column(title)
-    for row in rows:
-        at = (
-            "any time" if row.show_s is None else f"{int(row.show_s // 60)}:{row.show_s % 60:04.1f}"
-        )
-        now = f"{row.fallen} of {row.rollouts} fell" if row.rollouts else ""
-        bound = f"{row.bound:.1%}" if row.bound < 1.0 else "?"
-        table.add_row(
-            at, row.source, row.target, row.plan, bound, now, MARKS[row.state], row.advice
-        )
-    console = Console(width=None if Console().is_terminal else 150)
-    console.print(table)
-    counts = {state: sum(row.state == state for row in rows) for state in MARKS}
-    console.print(
-        f"{counts[GREEN]} direct, {counts[AMBER]} through stand, {counts[RED]} not proven "
-        f"of {len(rows)} changes"
-    )

@@ -46,7 +46,11 @@ class Demo:
 
 @dataclass(frozen=True)
 class Rehearse:
-    """Plan and simulate every change that a show can ask for: green, through stand, or red."""
+    """Plan and simulate every change that a show can ask for: green, through stand, or red.
+
+    What speech may ask for, the gesture of its answers and a stop are looked up for whatever may
+    dance then.
+    """
 
     show: tyro.conf.Positional[Path]
     """show.toml."""
