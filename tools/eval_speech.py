@@ -14,13 +14,20 @@ from rich.console import Console
 from rich.table import Table
 
 from downbeat.perception.errors import PerceptionError
-from downbeat.perception.grounding import STAND, Grounder, Intent, IntentKind
+from downbeat.perception.grounding import NOT_BY_VOICE, STAND, Grounder, Intent, IntentKind
 from downbeat.perception.intent_model import IntentModel
 from downbeat.policies.manifest import load_skills
+from downbeat.runtime.errors import one_of
 from downbeat.tools.errors import ToolError
 
+BUNDLED_UTTERANCES = Path(__file__).with_name("utterances.tsv")
 COLUMNS = ("half", "kind", "expected", "text")
+KINDS = (
+    "request", "parameter", "garbled", "again", "tempo", "resume", "stop", "negation", "chat",
+)  # fmt: skip
 CHAT, FORBIDDEN, STOP = "chat", "-", IntentKind.STOP.value
+NO_SKILLS = (STOP, "again", "tempo", "resume", CHAT, FORBIDDEN)
+"""What may be expected besides a skill."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +36,9 @@ class Utterance:
 
     Attributes:
         half: "tune" or "test".
-        kind: request, parameter, again, tempo, stop, negation, chat, garbled.
-        expected: A skill, "stop", "again", "tempo", "chat", or "-": anything but a skill. "stand"
-            and "stop" are one: both make the robot stand, and the grounding says "stop".
+        kind: One of KINDS, for who reads the set; what counts is what is expected.
+        expected: A skill, "stop", "again", "tempo", "resume", "chat", or "-": anything but a skill.
+            "stand" and "stop" are one: both make the robot stand, and the grounding says "stop".
         text: As spoken.
     """
 
@@ -80,14 +87,21 @@ def load_utterances(path: Path) -> list[Utterance]:
             rows = list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
     except (OSError, UnicodeDecodeError) as error:
         raise ToolError(
-            f"Utterances {path} cannot be read; --utterances names a set, and the default one is "
-            "found from the folder of the repository."
+            f"Utterances {path} cannot be read; --utterances names a file of {', '.join(COLUMNS)}, "
+            "separated by tabs, and without it the bundled set is taken."
         ) from error
     if not rows:
         raise ToolError(f"{path} holds no utterance.")
+    skills = sorted(set(load_skills()) - NOT_BY_VOICE)
+    valid = {"kind": KINDS, "expected": (*NO_SKILLS, *skills)}
     for number, row in enumerate(rows, 2):
         if set(row) != set(COLUMNS) or not all(isinstance(value, str) for value in row.values()):
             raise ToolError(f"{path}:{number} is not {', '.join(COLUMNS)}, separated by tabs.")
+        for name, words in valid.items():
+            if row[name] not in words:
+                raise ToolError(
+                    f"{path}:{number} has the {name} '{row[name]}'; valid are {one_of(words)}."
+                )
     return [Utterance(**{name: row[name] for name in COLUMNS}) for row in rows]
 
 
@@ -150,12 +164,19 @@ def open_grounder(letters_only: bool) -> tuple[Grounder, str]:
     return Grounder(skills, None), "letters"
 
 
-def eval_speech(path: Path, half: str, letters_only: bool, as_json: bool) -> int:
+def eval_speech(path: Path | None, half: str, letters_only: bool, as_json: bool) -> int:
     """Score a set and print; 0 if the targets are reached, else 1.
+
+    Args:
+        path: The set; None: the bundled one.
+        half: "tune", "test" or "all".
+        letters_only: Without the sentence model.
+        as_json: Print one JSON object.
 
     Raises:
         ToolError: The set cannot be read, or has no such half.
     """
+    path = path or BUNDLED_UTTERANCES
     chosen = [one for one in load_utterances(path) if half in ("all", one.half)]
     if not chosen:
         raise ToolError(f"{path} has no half {half!r}; valid are tune, test and all.")

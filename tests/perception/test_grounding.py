@@ -1,7 +1,5 @@
 """From a transcript to a skill, a stop or an answer: on the written set and on what breaks it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,9 +9,8 @@ from downbeat.perception.errors import PerceptionError
 from downbeat.perception.grounding import NOT_BY_VOICE, Grounder, IntentKind
 from downbeat.perception.grounding_misheard import Misheard
 from downbeat.policies.manifest import load_skills
-from downbeat.tools.eval_speech import load_utterances, score
+from downbeat.tools.eval_speech import BUNDLED_UTTERANCES, load_utterances, score
 
-UTTERANCES = Path(__file__).parent / "utterances.tsv"
 MOVES = (IntentKind.SKILL, IntentKind.AGAIN)
 
 
@@ -69,7 +66,7 @@ def by_letters(skills):
     ],
 )
 def test_the_written_set_is_understood_as_measured(learned, half, top1, false_triggers):
-    rows = [one for one in load_utterances(UTTERANCES) if one.half == half]
+    rows = [one for one in load_utterances(BUNDLED_UTTERANCES) if one.half == half]
     result = score(learned, rows, "learned")
     assert result.n >= 100
     assert result.top1 >= top1, result.wrong
@@ -121,7 +118,7 @@ def test_run_on_refusals_start_nothing(text, either):
 
 
 def test_without_the_model_nothing_forbidden_is_done_and_phrases_work(by_letters, skills):
-    rows = load_utterances(UTTERANCES)
+    rows = load_utterances(BUNDLED_UTTERANCES)
     result = score(by_letters, rows, "letters")
     assert result.negation_errors == 0, result.wrong
     assert result.false_triggers <= 0.03, result.wrong

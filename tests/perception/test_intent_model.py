@@ -1,7 +1,6 @@
 """What was learned of how people ask: the model, and its place among the rules."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +13,9 @@ from downbeat.perception.intent_model import FORMS, WEIGHTS, IntentModel, writte
 from downbeat.perception.sentence_model import SentenceModel, adapted
 from downbeat.policies.manifest import load_skills
 from downbeat.runtime.errors import DownbeatError
-from downbeat.tools.eval_speech import load_utterances
+from downbeat.tools.eval_speech import BUNDLED_UTTERANCES, load_utterances
 from downbeat.tools.speech_parts import hub_folder, make_grounder
 from downbeat.tools.train_intents import load_sentences
-
-UTTERANCES = Path(__file__).parent / "utterances.tsv"
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +112,7 @@ def test_a_skill_that_was_not_learned_is_found_by_its_phrases(intents):
 
 def test_the_test_half_was_not_learned():
     learned_texts = {one.text for one in load_sentences()}
-    test = {written(one.text) for one in load_utterances(UTTERANCES) if one.half == "test"}
+    test = {written(one.text) for one in load_utterances(BUNDLED_UTTERANCES) if one.half == "test"}
     assert len(test) >= 100
     assert not test & learned_texts
 

@@ -1,6 +1,9 @@
 """Bench and timeline of speech: what is counted, what is drawn."""
 
+import json
 import re
+import tomllib
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,11 +27,16 @@ from downbeat.runtime.clock import SIM_EPOCH_UTIME, SimClock
 from downbeat.runtime.errors import DownbeatError
 from downbeat.tools import speech_parts
 from downbeat.tools.bench_speech import Said, _latency
+from downbeat.tools.commands.evaluate import Speech
+from downbeat.tools.errors import ToolError
+from downbeat.tools.eval_speech import BUNDLED_UTTERANCES, eval_speech
 from downbeat.tools.eval_spoken import _share
 from downbeat.tools.rehearse import run_rehearse
 from downbeat.tools.speech_parts import introduction
 from downbeat.tools.speech_stand_in import stand_in_service
 from downbeat.tools.timeline_speech import _fit, said_lines
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_request_counts_for_the_utterance_before_it():
@@ -124,6 +132,33 @@ def test_the_speech_process_introduces_itself_when_it_is_ready(tmp_path, monkeyp
     node = speech_parts.build_speech(config, load_skills(), bus, tmp_path, 0, True, {}, said.append)
     node.close()
     assert [line.split(" by ")[1].split(" ")[0] for line in said] == ["stand-in"]
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("test\tcomand\twave\tdo the wave", "set.tsv:3 has the kind 'comand'; valid are again, "),
+        ("test\trequest\twaves\tdo the wave", "set.tsv:3 has the expected 'waves'; valid are -, "),
+        ("test\tchat\tnone\tnice day", "set.tsv:3 has the expected 'none'"),
+        ("test\trequest\ttalk\ttalk", "set.tsv:3 has the expected 'talk'"),  # never by voice
+        ("test\trequest\twave", "set.tsv:3 is not half, kind, expected, text"),
+    ],
+)
+def test_a_row_that_is_none_is_named_and_not_counted(tmp_path, row, said):
+    path = tmp_path / "set.tsv"
+    path.write_text(f"half\tkind\texpected\ttext\ntest\tresume\tresume\tgo on\n{row}\n")
+    with pytest.raises(ToolError, match=re.escape(said)):
+        eval_speech(path, "all", True, True)
+
+
+def test_the_bundled_set_is_found_from_anywhere_and_is_in_the_wheel(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Speech(half="tune", letters_only=True, json=True).run()
+    assert json.loads(capsys.readouterr().out)["n"] == 160
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    patterns = project["tool"]["setuptools"]["package-data"]["downbeat.tools"]
+    folder = BUNDLED_UTTERANCES.parent
+    assert BUNDLED_UTTERANCES in [path for pattern in patterns for path in folder.glob(pattern)]
 
 
 def test_a_long_line_is_cut_at_a_word():

@@ -120,8 +120,8 @@ class Speech:
     runs: Path = Path("runs")
     """spoken: where runs are kept."""
 
-    utterances: Path = Path("tests/perception/utterances.tsv")
-    """Tab-separated set: half, kind, expected, text."""
+    utterances: Path | None = None
+    """Tab-separated set of your own: half, kind, expected, text; omitted: the bundled one."""
     half: Literal["tune", "test", "all"] = "test"
     """Thresholds were found on `tune`; `test` was written by someone else and never tuned on."""
     letters_only: bool = False
