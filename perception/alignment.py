@@ -210,6 +210,21 @@ class FineAligner:
         information = reference_energy / (frames * ft.NUM_BANDS * QUANTUM**2)
         return Fit(similarity, track, start * FINE_S, rate, information, heard.pitch)
 
+    def rows(self, fit: Fit, frames: int) -> Fine:
+        """Return the rows of the reference that a query of so many frames met, (frames, NUM_BANDS).
+
+        Args:
+            fit: Where, and at which rate.
+            frames: Of the query.
+        """
+        fine = self._fine[fit.track]
+        at = fit.tau_s / FINE_S + PAD_FRAMES + 2.0 * fit.rate * np.arange(frames)
+        places = np.round(at).astype(np.int64)
+        found = np.zeros((frames, ft.NUM_BANDS), np.int8)
+        inside = (places >= 0) & (places < len(fine))
+        found[inside] = fine[places[inside]]
+        return found
+
     def _reference(self, track: int, begin: int, length: int) -> F32:
         """Return `length` frames from `begin`, zeros beyond the ends, (length, NUM_BANDS)."""
         fine = self._fine[track]

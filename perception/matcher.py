@@ -1,29 +1,29 @@
 """Which track is this, and where in it: exhaustive alignment in two stages (alignment.py).
 
-Accepted is what stands far enough above the best *other* track, in units of the query's own chance
-spread; queries and places that hold little (tones, single notes, pauses) must stand higher.
-Decoys, the catalogue backwards and transposed, compete like any other track and never win.
-Measured in docs/matcher.md.
+Accepted is what speaks for itself, cell by cell, and stands above the best *other* track and the
+query's own chance (verdict.py). Decoys, the catalogue backwards and transposed, compete like any
+other track and never win. Measured in docs/matcher.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from downbeat.perception import features as ft
 from downbeat.perception.alignment import FINE_S, RATES, Fit, Heard, spread_out
 from downbeat.perception.candidates import MAX_SCANNED_TRACKS, prepare
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
-from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, SILENT_PEAK, Index
+from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, SILENT_PEAK, Fine, Index
 from downbeat.perception.match import MatchResult, MusicMatcher
 from downbeat.perception.passages import Twins
 from downbeat.perception.repeats import like_places
+from downbeat.perception.verdict import Numbers, learned, measure
 
-__all__ = ["AlignmentMatcher", "MatchResult", "MusicMatcher", "threshold"]
+__all__ = ["AlignmentMatcher", "MatchResult", "MusicMatcher"]
 
 PITCHES, PLAIN_SIMILARITY = (1.02, 0.98), 0.7
 """No other pitch is tried where this one fits so well."""
@@ -40,40 +40,13 @@ CHECK_SEARCH = REPEAT_SEARCH = 3
 REPEAT_RATES_OFF = (0.0, -0.01, 0.01)
 """From that of the winner, whose repeats are played at the same speed; a wrong one may have met it
 at another, so that 1 is tried too."""
-RUNNER_UP_SHARE = 0.8
-SPREAD_FLOOR = 1e-3
 REPEAT_SHARE, REPEAT_APART_S = 0.95, 0.25
 """A place counts as a repeat if it reaches this share of the best similarity."""
 TWIN_SHARE = 0.95
 """A track that shares the passage and reaches this share is its twin: the same recording reaches
 0.97 in any noise. What fits less is a rival like any other."""
-INFORMATION = 0.5
-"""Mean square of features rich in notes, of query and place together; what is poorer is alike by
-chance and must pay by the square root."""
-RATE_PENALTY = 15.0
-"""Score per unit of rate off 1."""
 MIN_WINDOW_FRAMES = 8
 MIN_SAMPLE_RATE_HZ = 8_000
-THRESHOLDS = (
-    (1.0, 3.0), (1.25, 2.8), (1.5, 2.6), (2.0, 2.4), (3.0, 2.3), (5.0, 2.5), (8.0, 2.7),
-)  # fmt: skip
-"""(window [s], score). Calibrated on 81 recordings, each in turn a stranger to the 80 others or to
-8 of them, clean, coded, in noise and by the robot's microphone, and shuffled, backwards, and on
-voices, animals and tones: at most 0.3 % of 2, 3 and 5 s windows of strangers stand higher. Shorter
-windows meet more chance."""
-
-
-LOCK_THRESHOLDS = ((1.0, 4.2), (1.25, 4.0), (2.0, 3.6), (3.0, 3.6), (5.0, 4.0), (8.0, 4.4))
-"""The same for a lock: a listener that is lost asks 40,000 windows an hour, and each may be wrong.
-Nearly one above the highest of any stranger in three quarters of an hour of streams, of that
-calibration and of other recordings: 2.9 at 1.25 to 3 s, 3.0 at 5 s, 3.3 at 8 s. Higher stood only
-a medley of pieces that the catalogue held."""
-
-
-def threshold(seconds: float, table: Sequence[tuple[float, float]] = THRESHOLDS) -> float:
-    """Return the acceptance score that a window of this length needs."""
-    lengths, scores = zip(*table)
-    return float(np.interp(seconds, lengths, scores))
 
 
 class AlignmentMatcher:
@@ -138,15 +111,29 @@ class AlignmentMatcher:
         Raises:
             PerceptionError: The rate is too low, or the index is empty.
         """
-        _check_rate(sample_rate_hz)
-        if not self._ready:
-            self.finish()
-        values = _audible_features(samples, sample_rate_hz)
-        if len(values) < MIN_WINDOW_FRAMES:
+        values = self._heard(samples, sample_rate_hz)
+        if values is None:
             return MatchResult()
-        values = values[: len(values) // 2 * 2]
         fits, chance = self._search(values)
         return self._decide(values, fits, chance)
+
+    def weigh(
+        self, samples: F32, sample_rate_hz: int
+    ) -> tuple[MatchResult, npt.NDArray[np.float64]] | None:
+        """Match a window, looking everywhere, and say what the answer was made of.
+
+        Returns:
+            The answer, and its measures (verdict.py); None of silence and of what is one of twins.
+        """
+        values = self._heard(samples, sample_rate_hz)
+        if values is None:
+            return None
+        fits, chance = self._search(values, is_thorough=True)
+        best, others, twins = self._compare(values, fits)
+        if best is None or twins:
+            return None
+        result = self._decide(values, fits, chance)
+        return result, measure(*self._evidence(values, best, others, chance))
 
     def agreement(
         self, samples: F32, sample_rate_hz: int, track: str, tau_s: float
@@ -170,7 +157,15 @@ class AlignmentMatcher:
         fit = self._aligner.align(Heard(values), number, first, CHECK_SEARCH, (1.0,))
         return fit.similarity, fit.tau_s - tau_s
 
-    def _search(self, values: F32) -> tuple[list[Fit], float]:
+    def _heard(self, samples: F32, sample_rate_hz: int) -> F32 | None:
+        """Return the features of a window, an even number; None: too little to be matched."""
+        _check_rate(sample_rate_hz)
+        if not self._ready:
+            self.finish()
+        values = _audible_features(samples, sample_rate_hz)
+        return values[: len(values) // 2 * 2] if len(values) >= MIN_WINDOW_FRAMES else None
+
+    def _search(self, values: F32, is_thorough: bool = False) -> tuple[list[Fit], float]:
         """Return the fits, best first, and the chance spread of the coarse scores."""
         ranked, chance = self._scan.search(values, RANKED)
         track_of = self._scan.track_of
@@ -183,7 +178,9 @@ class AlignmentMatcher:
             for place in places[:PITCHED]:
                 found[place] = max(found[place], self._fit(heard[pitch], place))
         self._look_at_repeats(values, found)
-        if len(values) >= DEEP_FRAMES and not self._decide(values, _sorted(found), chance).accepted:
+        if len(values) >= DEEP_FRAMES and (
+            is_thorough or not self._decide(values, _sorted(found), chance).accepted
+        ):
             best = max(found.values())
             between, _ = self._scan.search(values[1:], RANKED)
             for order in (between, ranked):
@@ -215,31 +212,43 @@ class AlignmentMatcher:
         first = FINE_PER_COARSE * (place - int(self._scan.starts[track]))
         return self._aligner.align(heard, track, first, SEARCH, rates)
 
-    def _decide(self, values: F32, fits: list[Fit], chance: float) -> MatchResult:
+    def _compare(self, values: F32, fits: list[Fit]) -> tuple[Fit | None, list[Fit], list[Fit]]:
+        """Return the best fit, those of other tracks, and its twins among them."""
         best = next((fit for fit in fits if fit.track < len(self.names)), None)
+        if best is None:
+            return None, [], []
+        twins = self._twins_of(best, len(values) * ft.HOP_S, fits)
+        alike = {best.track, *(fit.track for fit in twins)}
+        return best, [fit for fit in fits if fit.track not in alike], twins
+
+    def _evidence(
+        self, values: F32, best: Fit, others: list[Fit], chance: float
+    ) -> tuple[F32, Fine, Numbers]:
+        """Return what the verdict looks at."""
+        query = values if best.pitch == 1.0 else ft.shift_pitch(values, best.pitch)
+        reference = self._aligner.rows(best, len(values))
+        second = others[0].similarity if others else 0.0
+        return query, reference, Numbers(best.similarity, second, chance, best.rate, best.pitch)
+
+    def _decide(self, values: F32, fits: list[Fit], chance: float) -> MatchResult:
+        best, others, twins = self._compare(values, fits)
         if best is None:
             return MatchResult(votes=len(values))
         seconds = len(values) * ft.HOP_S
-        twins = self._twins_of(best, seconds, fits)
-        alike = {best.track, *(fit.track for fit in twins)}
-        other = next((fit for fit in fits if fit.track not in alike), None)
-        second = 0.0 if other is None else other.similarity
-        information = float(np.sqrt((values**2).mean() * best.information))
-        rich = min(information / INFORMATION, 1.0) ** 0.5
-        margin = best.similarity - RUNNER_UP_SHARE * second
-        score = margin / (chance + SPREAD_FLOOR) * rich
-        score -= RATE_PENALTY * abs(best.rate - 1.0)
-        is_track = other is not None and other.track < len(self.names)
+        verdict = learned()
+        score = verdict.log_odds(*self._evidence(values, best, others, chance))
+        rival = next(iter(others), None)
+        is_track = rival is not None and rival.track < len(self.names)
         return MatchResult(
             track=self.names[best.track],
             tau_s=best.tau_s,
             rate=best.rate,
             confidence=score,
-            accepted=score > threshold(seconds) and not twins,
-            doubtful=score <= threshold(seconds, LOCK_THRESHOLDS),
+            accepted=score > verdict.accept.of(seconds) and not twins,
+            doubtful=score <= verdict.lock.of(seconds),
             similarity=best.similarity,
-            runner_up=self.names[other.track] if other is not None and is_track else "",
-            runner_up_confidence=second,
+            runner_up=self.names[rival.track] if rival is not None and is_track else "",
+            runner_up_confidence=rival.similarity if rival is not None else 0.0,
             votes=len(values),
             repeats=_repeats(best, fits),
             twins=tuple((self.names[fit.track], fit.tau_s) for fit in twins),

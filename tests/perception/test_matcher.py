@@ -17,8 +17,9 @@ from downbeat.perception.index import (
     coarse_of_fine,
     make_decoys,
 )
-from downbeat.perception.matcher import LOCK_THRESHOLDS, AlignmentMatcher, threshold
+from downbeat.perception.matcher import AlignmentMatcher
 from downbeat.perception.source import audio_files, load_recording
+from downbeat.perception.verdict import learned
 
 
 def window(music, name, start_s, seconds):
@@ -148,7 +149,8 @@ def test_agreement_is_high_at_the_place_and_low_elsewhere(matcher, music):
 
 
 def test_windows_too_short_to_know_much_must_stand_higher():
-    assert threshold(1.0) > threshold(1.25) > threshold(1.5) > threshold(2.0)
+    accept = learned().accept
+    assert accept.of(1.0) > accept.of(1.25) > accept.of(1.5) > accept.of(2.0)
 
 
 @pytest.mark.parametrize("seconds", [1.0, 3.0, 10.0])
@@ -243,7 +245,7 @@ def test_a_window_that_two_tracks_share_is_accepted_for_neither_and_names_both()
 
 def test_a_lock_asks_more_than_one_window_alone():
     for seconds in (1.0, 1.25, 2.0, 3.0, 5.0, 8.0):
-        assert threshold(seconds, LOCK_THRESHOLDS) > threshold(seconds) + 0.5
+        assert learned().lock.of(seconds) > learned().accept.of(seconds) + 0.5
 
 
 def test_another_pitch_does_not_cost_the_place(matcher, music):

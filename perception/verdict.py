@@ -1,0 +1,166 @@
+"""How likely the best fit is right: what speaks for it and against it, cell by cell.
+
+Correlation asks only how alike two spectra are. But noise adds and takes nothing away: where the
+reference is loud and the query is not, the place is wrong however well the rest fits; where the
+query is loud and the reference is not, somebody talks. So each cell votes with the weight that its
+two levels have earned, and the query's own numbers (rival, chance, rate) join them. The weights
+are learned: logistic regression on windows of known and of unknown music
+(`python -m downbeat.tools.train_verdict`, docs/matcher.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from downbeat.perception import features as ft
+from downbeat.perception.errors import PerceptionError
+from downbeat.perception.features import F32
+from downbeat.perception.index import QUANTUM, Fine
+
+F64 = npt.NDArray[np.float64]
+
+WEIGHTS = Path(__file__).parent / "data" / "verdict.npz"
+FORMAT = 1
+LEVEL_STEP, LEVELS = 0.5, 9
+"""Features of -1.5 to 3 fall into that many levels."""
+USUAL_S, USUAL_FRAMES = 5.0, 62
+"""Where the length of a window speaks neither way."""
+NUMBERS = (
+    "similarity", "second", "margin", "chance", "rate", "pitch", "heard", "known",
+)  # fmt: skip
+MEASURES = LEVELS * LEVELS + len(NUMBERS)
+SURE_FROM, SURE_GAIN = 0.3, 20.0
+"""What stands so far above the second is sure, and regression cannot learn how sure: of 33,000
+windows of strangers, a second long or more, none stood 0.23 above it, or 0.37 if it was taken for
+another piece of its composer; right ones stand 0.4 to 0.8 above it where nothing disturbs."""
+_LEVEL_OF_INT8 = np.clip(
+    (np.arange(-128, 128) / QUANTUM - ft.CLIP_LOW) / LEVEL_STEP, 0, LEVELS - 1
+).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """What is known of a fit besides its cells.
+
+    Attributes:
+        similarity: Of the best fit.
+        second: Of the best other track.
+        chance: Spread of the scores of all places.
+        rate: Track seconds per real second.
+        pitch: How much too high the query sounds.
+    """
+
+    similarity: float
+    second: float
+    chance: float
+    rate: float
+    pitch: float
+
+
+class Line(NamedTuple):
+    """A threshold that falls with the logarithm of the length: short windows meet more chance.
+
+    Attributes:
+        at_usual: For a window of 5 s.
+        slope: Per natural logarithm of the length.
+    """
+
+    at_usual: float
+    slope: float
+
+    def of(self, seconds: Any) -> Any:
+        """Return the threshold for windows of this length [s]."""
+        return self.at_usual + self.slope * np.log(np.asarray(seconds) / USUAL_S)
+
+
+def measure(query: F32, reference: Fine, numbers: Numbers) -> F64:
+    """Return what is weighed, (MEASURES,).
+
+    Args:
+        query: (w, NUM_BANDS) features of the query, at the pitch of the fit.
+        reference: (w, NUM_BANDS) those of the track, where the fit says.
+        numbers: Of the fit.
+    """
+    heard = np.clip((query - ft.CLIP_LOW) / LEVEL_STEP, 0, LEVELS - 1).astype(np.int64)
+    known = _LEVEL_OF_INT8[reference.astype(np.int64) + 128]
+    cells = np.bincount((heard * LEVELS + known).ravel(), minlength=LEVELS**2) / heard.size
+    power = np.square(reference, dtype=np.float32).mean() / QUANTUM**2
+    rest = (
+        numbers.similarity,
+        numbers.second,
+        (numbers.similarity - numbers.second) / (numbers.chance + 1e-3) / 10.0,
+        numbers.chance * 10.0,
+        abs(numbers.rate - 1.0) * 20.0,
+        float(numbers.pitch != 1.0),
+        float(np.square(query).mean()),
+        float(power),
+    )
+    return np.concatenate([cells, rest])
+
+
+def with_length(measures: F64, frames: npt.NDArray[np.int64] | int) -> F64:
+    """Return measures twice, the second time by how much longer than usual the window is.
+
+    Args:
+        measures: (..., MEASURES).
+        frames: (...) of the windows.
+    """
+    longer = np.log(np.asarray(frames) / USUAL_FRAMES)[..., None]
+    return np.concatenate([measures, measures * longer, longer], axis=-1)
+
+
+def beyond_strangers(lead: Any) -> Any:
+    """Return what a lead over the second track adds to the log-odds, where no stranger gets to."""
+    return SURE_GAIN * np.maximum(np.asarray(lead) - SURE_FROM, 0.0)
+
+
+class Verdict:
+    """The learned weights.
+
+    Attributes:
+        accept: A window alone is accepted above this.
+        lock: And is enough for a lock above this: a listener that is lost asks 40,000 windows an
+            hour, and each may be wrong.
+    """
+
+    def __init__(self, path: Path = WEIGHTS) -> None:
+        """Read the weights.
+
+        Raises:
+            PerceptionError: The file is missing or of another format.
+        """
+        try:
+            with np.load(path) as file:
+                if int(file["format"]) != FORMAT or len(file["weights"]) != 2 * MEASURES + 1:
+                    raise ValueError("another format")
+                self._weights, self._bias = file["weights"].astype(np.float64), float(file["bias"])
+                self.accept, self.lock = (
+                    Line(*map(float, file[name])) for name in ("accept", "lock")
+                )
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise PerceptionError(
+                f"The matcher's weights {path} cannot be read ({error}); valid is format {FORMAT}, "
+                "written by `python -m downbeat.tools.train_verdict`."
+            ) from error
+
+    def log_odds(self, query: F32, reference: Fine, numbers: Numbers) -> float:
+        """Return how likely a fit is right: the logarithm of its odds; arguments: `measure`."""
+        measures = measure(query, reference, numbers)
+        longer = math.log(len(query) / USUAL_FRAMES)
+        plain, stretched = self._weights[:MEASURES], self._weights[MEASURES:-1]
+        weighed = float(measures @ (plain + longer * stretched))
+        sure = beyond_strangers(numbers.similarity - numbers.second)
+        return weighed + float(self._weights[-1]) * longer + self._bias + float(sure)
+
+
+@lru_cache(maxsize=1)
+def learned() -> Verdict:
+    """Return the weights that come with Downbeat, read once."""
+    return Verdict()

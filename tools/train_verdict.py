@@ -1,0 +1,209 @@
+"""`python -m downbeat.tools.train_verdict`: learn what makes a match right, and where to accept it.
+
+Logistic regression on windows of every recording of some folders, asked of a catalogue that holds
+it and of one that does not (verdict_windows.py). Each folder is held apart in turn: what the
+script reports, and the thresholds, come from weights that never heard the folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from downbeat.perception import features as ft
+from downbeat.perception.verdict import (
+    FORMAT,
+    LEVELS,
+    NUMBERS,
+    WEIGHTS,
+    Line,
+    beyond_strangers,
+    with_length,
+)
+from downbeat.tools.errors import ToolError
+from downbeat.tools.verdict_windows import LENGTHS_S, VerdictStudy
+
+F64 = npt.NDArray[np.float64]
+Rows = Mapping[str, npt.NDArray[Any]]
+
+SOUNDS, SEED = 16, 1
+RIDGE = 20.0
+"""Cost of a squared weight, in rows; of measures in units of their own spread."""
+ACCEPTED = 0.003
+"""Share of windows of strangers that may stand above the threshold."""
+LOCKED_ABOVE = 2.0
+"""A lock asks for so much more than the highest of all but one in a thousand strangers."""
+TAIL = 0.001
+SIMILARITY, SECOND = (LEVELS**2 + NUMBERS.index(name) for name in ("similarity", "second"))
+
+
+@dataclass(frozen=True)
+class Model:
+    """Weights for measures as they are."""
+
+    weights: F64
+    bias: float
+
+    def log_odds(self, measures: F64) -> F64:
+        """Weigh rows, (n, 2 MEASURES + 1), as `Verdict.log_odds` does."""
+        sure = beyond_strangers(measures[:, SIMILARITY] - measures[:, SECOND])
+        return np.asarray(measures @ self.weights + self.bias + sure)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Gather, report on each folder held apart, write weights and thresholds."""
+    parser = argparse.ArgumentParser(prog="python -m downbeat.tools.train_verdict")
+    parser.add_argument("--tracks", type=Path, nargs="+", required=True, help="folders of music")
+    parser.add_argument("--groups", type=Path, nargs="*", default=[], help="track, tab, group")
+    parser.add_argument("--speech", type=Path, nargs="*", default=[], help="folders of voices")
+    parser.add_argument("--windows", type=Path, help="keep what was gathered in this folder")
+    parser.add_argument("--sounds", type=int, default=SOUNDS, help="of each recording")
+    parser.add_argument("--out", type=Path, default=WEIGHTS)
+    args = parser.parse_args(arguments)
+    if args.groups and len(args.groups) != len(args.tracks):
+        raise ToolError(
+            f"{len(args.groups)} group files for {len(args.tracks)} folders; valid is one for "
+            "each, or none."
+        )
+    folders = {
+        str(tracks): gather(tracks, groups, args.speech, args.sounds, args.windows)
+        for tracks, groups in zip(args.tracks, args.groups or [None] * len(args.tracks))
+    }
+    apart = held_apart(folders) if len(folders) > 1 else {n: fit([r]) for n, r in folders.items()}
+    scores = np.concatenate([apart[n].log_odds(_measures(r)) for n, r in folders.items()])
+    rows = {
+        key: np.concatenate([r[key] for r in folders.values()])
+        for key in ("frames", "is_right", "is_known", "is_kin", "condition")
+    }
+    accept, lock = thresholds(rows, scores)
+    report(rows, scores, accept, lock)
+    save(args.out, fit(list(folders.values())), accept, lock)
+    print(f"written: {args.out} ({args.out.stat().st_size / 1e3:.1f} kB)")
+
+
+def gather(
+    tracks: Path, groups: Path | None, speech: Sequence[Path], count: int, keep: Path | None
+) -> Rows:
+    """Return the windows of a folder, perhaps those kept by an earlier run."""
+    kept = keep / f"{tracks.name}.npz" if keep else None
+    if kept is not None and kept.is_file():
+        with np.load(kept) as file:
+            return dict(file)
+    print(f"{tracks}: gathering", flush=True)
+    rows = VerdictStudy(tracks, speech, groups).windows(count, SEED).arrays()
+    if kept is not None:
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **rows)
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_bytes(buffer.getvalue())
+    return rows
+
+
+def _measures(rows: Rows) -> F64:
+    return with_length(rows["measures"], rows["frames"])
+
+
+def fit(folders: Sequence[Rows]) -> Model:
+    """Fit weights to the rows of some folders."""
+    measures = np.concatenate([_measures(rows) for rows in folders])
+    is_right = np.concatenate([rows["is_right"] for rows in folders])
+    centre, spread = measures.mean(0), measures.std(0) + 1e-9
+    scaled = (measures - centre) / spread
+    sign = np.where(is_right, 1.0, -1.0)
+
+    def cost(parameters: F64) -> tuple[float, F64]:
+        weights, bias = parameters[:-1], parameters[-1]
+        margin = sign * (scaled @ weights + bias)
+        pull = -sign * expit(-margin)
+        slope = np.append(scaled.T @ pull + RIDGE * weights, pull.sum())
+        value = float(np.logaddexp(0.0, -margin).sum()) + 0.5 * RIDGE * float(weights @ weights)
+        return value, slope
+
+    start = np.zeros(measures.shape[1] + 1)
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": 2000})
+    weights = found.x[:-1] / spread
+    return Model(weights, float(found.x[-1] - centre @ weights))
+
+
+def held_apart(folders: Mapping[str, Rows]) -> dict[str, Model]:
+    """Return for each folder weights that have not heard it."""
+    return {name: fit([r for n, r in folders.items() if n != name]) for name in folders}
+
+
+def thresholds(rows: Rows, scores: F64) -> tuple[Line, Line]:
+    """Return what a window must reach to be accepted, and for a lock, by its length."""
+    accept = _line(rows, scores, ACCEPTED)
+    lock = _line(rows, scores, TAIL)
+    return accept, Line(lock.at_usual + LOCKED_ABOVE, lock.slope)
+
+
+def _line(rows: Rows, scores: F64, share: float) -> Line:
+    """Return the straight line above which this share of all strangers stands.
+
+    Straight over the logarithm of the length: the few highest of each length scatter.
+    """
+    strangers = ~rows["is_known"]
+    levels = [np.quantile(scores[is_long & strangers], 1 - share) for is_long in _by_length(rows)]
+    slope = float(np.polyfit(np.log(LENGTHS_S), levels, 1)[0])
+    level = Line(0.0, slope).of((rows["frames"] + 1.0) * ft.HOP_S)
+    return Line(float(np.quantile((scores - level)[strangers], 1.0 - share)), slope)
+
+
+def _by_length(rows: Rows) -> list[npt.NDArray[np.bool_]]:
+    # A window holds a few frames less than its length: odd ones, and what has no whole hop left.
+    seconds = (rows["frames"] + 1.0) * ft.HOP_S
+    nearest = np.abs(np.log(seconds[:, None] / np.array(LENGTHS_S))).argmin(1)
+    return [nearest == number for number in range(len(LENGTHS_S))]
+
+
+def report(rows: Rows, scores: F64, accept: Line, lock: Line) -> None:
+    """Print a table per length: what is accepted of which condition, and of strangers."""
+    # "tempo+2%" and its like are one row.
+    plain = np.array([str(name).rstrip("0123456789+-%.") for name in rows["condition"]])
+    names = sorted(set(plain.tolist()))
+    for is_long, length in zip(_by_length(rows), LENGTHS_S):
+        needed, sure = accept.of(length), lock.of(length)
+        known = is_long & rows["is_known"]
+        strangers = is_long & ~rows["is_known"]
+        others = strangers & ~rows["is_kin"]
+        print(
+            f"{length:g} s: accepted above {needed:.2f}, locked above {sure:.2f}; strangers "
+            f"{strangers.sum()}: {_share(scores[strangers] > needed, strangers[strangers]):.2f} %, "
+            f"highest {scores[strangers].max():.1f}; not kin {others.sum()}: "
+            f"{_share(scores[others] > needed, others[others]):.2f} %, "
+            f"highest {scores[others].max():.1f}"
+        )
+        for name in names:
+            here = known & (plain == name)
+            right = rows["is_right"] & here
+            if here.any():
+                print(
+                    f"    {name:12} n {here.sum():5}  right {_share(right, here):5.1f}  accepted "
+                    f"{_share(right & (scores > needed), here):5.1f}  locked "
+                    f"{_share(right & (scores > sure), here):5.1f}"
+                )
+
+
+def _share(some: npt.NDArray[np.bool_], of: npt.NDArray[np.bool_]) -> float:
+    return 100.0 * float(some.sum()) / max(float(of.sum()), 1.0)
+
+
+def save(path: Path, model: Model, accept: Line, lock: Line) -> None:
+    """Write what perception/verdict.py reads."""
+    np.savez_compressed(
+        path, format=FORMAT, weights=model.weights.astype(np.float32), bias=model.bias,
+        accept=np.array(accept), lock=np.array(lock),
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
