@@ -1,0 +1,92 @@
+"""What the verdict learns from is what its labels say, and what it learns is written whole."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from downbeat.perception.verdict import MEASURES, Verdict, with_length
+from downbeat.tools.errors import ToolError
+from downbeat.tools.train_verdict import fit, main
+from downbeat.tools.verdict_windows import VerdictStudy, random_condition
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
+from synthetic_music import RATE, make_music
+
+ROWS = 400
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Two folders of two pieces each; in the second, one piece twice."""
+    root = tmp_path_factory.mktemp("music")
+    for number, folder in enumerate(("one", "two")):
+        (root / folder).mkdir()
+        for piece in range(2):
+            name = f"piece{piece}"
+            samples = make_music(10 * number + piece, 14.0)
+            soundfile.write(root / folder / f"{name}.flac", samples, RATE)
+    again = make_music(10, 14.0)
+    soundfile.write(root / "two" / "again.flac", again, RATE)
+    return root
+
+
+def test_strangers_are_never_right_and_copies_are_no_strangers(folders):
+    rows = VerdictStudy(folders / "two", [], None).windows(2, seed=3).arrays()
+    assert rows["measures"].shape == (len(rows["frames"]), MEASURES)
+    assert not (rows["is_right"] & ~rows["is_known"]).any()
+    known = rows["is_known"]
+    assert rows["is_right"][known].mean() > 0.7  # windows of a second in loud noise among them
+    # "again" is left out together with the piece that it repeats, both times.
+    copies = np.isin(rows["track"], ["again", "piece0"])
+    assert copies.any() and not rows["is_right"][copies & ~known].any()
+
+
+def test_the_same_seed_gathers_the_same_rows(folders):
+    one, other = (VerdictStudy(folders / "one", [], None).windows(1, 5).arrays() for _ in "ab")
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name])
+
+
+def test_conditions_are_many_and_leave_something_to_hear():
+    rng = np.random.default_rng(0)
+    samples = make_music(1, 3.0, 44_100)
+    names = set()
+    for _ in range(60):
+        drawn = random_condition([samples], rng)
+        heard = drawn.apply(samples, 44_100, rng)
+        names.add(drawn.name)
+        assert np.isfinite(heard).all() and np.abs(heard).max() > 1e-3
+    assert {"clean", "robot", "babble", "pink", "white"} < names and len(names) > 8
+
+
+def test_regression_finds_what_decides():
+    rng = np.random.default_rng(1)
+    measures = rng.normal(size=(ROWS, MEASURES))
+    frames = rng.integers(12, 100, ROWS)
+    is_right = measures[:, 7] + 0.3 * rng.normal(size=ROWS) > 0.5
+    model = fit([{"measures": measures, "frames": frames, "is_right": is_right}])
+    found = model.weights[:MEASURES]
+    assert int(np.abs(found).argmax()) == 7 and found[7] > 0
+    row = with_length(measures, frames)
+    assert ((row @ model.weights + model.bias > 0.0) == is_right).mean() > 0.9
+
+
+def test_the_script_writes_weights_that_the_matcher_reads(folders, tmp_path, capsys):
+    out = tmp_path / "verdict.npz"
+    tracks = [str(folders / name) for name in ("one", "two")]
+    kept = ["--windows", str(tmp_path / "kept"), "--sounds", "2"]
+    main(["--tracks", *tracks, "--out", str(out), *kept])
+    first = out.read_bytes()
+    verdict = Verdict(out)
+    assert verdict.lock.of(3.0) > verdict.accept.of(3.0)
+    assert "strangers" in capsys.readouterr().out
+    main(["--tracks", *tracks, "--out", str(out), *kept])  # of what was kept
+    assert out.read_bytes() == first
+
+
+def test_folders_and_groups_must_pair(folders, tmp_path):
+    with pytest.raises(ToolError, match="1 group files for 2 folders"):
+        main(["--tracks", str(folders / "one"), str(folders / "two"), "--groups", "x.tsv"])
