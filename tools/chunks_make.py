@@ -19,6 +19,8 @@ from downbeat.tools.matcher_sounds import synthetic_sounds
 
 CHUNK_S = 5.0
 SHIFTS_S = (0.0, 0.5, 1.0, 1.5, 2.0)
+MORE_SHIFTS_S = tuple(0.25 * k for k in range(20))
+"""Every quarter second of a chunk, where five shifts give too few."""
 BEFORE_S, SEGMENT_S = 1.0, 7.5
 """A condition is applied to more than the chunk, so that echoes and codecs have begun."""
 PIECE_S = 0.9
@@ -86,7 +88,12 @@ def degraded_queries(
         yield Query(degradation.name, recording.name, start_s, shift_s, samples, silent)
 
 
-def all_queries(recording: Recording, degradation: Degradation, seed: int) -> Iterator[Query]:
+def all_queries(
+    recording: Recording,
+    degradation: Degradation,
+    seed: int,
+    shifts_s: Sequence[float] = SHIFTS_S,
+) -> Iterator[Query]:
     """Cut every chunk of a track at every shift, from the whole track as heard in a condition.
 
     The condition must not change the time of the music.
@@ -94,7 +101,7 @@ def all_queries(recording: Recording, degradation: Degradation, seed: int) -> It
     rng = np.random.default_rng([seed, len(recording.samples)])
     rate = recording.sample_rate_hz
     heard = degradation.apply(recording.samples, rate, rng)
-    for shift_s in SHIFTS_S:
+    for shift_s in shifts_s:
         for start_s in starts(recording.duration_s, 100_000, shift_s):
             samples = _cut(Recording(recording.name, heard, rate), start_s, CHUNK_S)
             silent = is_silent(_cut(recording, start_s, CHUNK_S))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from downbeat.catalog.tracks import Track
 from downbeat.perception.matcher import MatchResult
 from downbeat.perception.source import Recording
-from downbeat.tools.chunks_make import CHUNK_S, SHIFTS_S, Query, starts
+from downbeat.tools.chunks_make import CHUNK_S, MORE_SHIFTS_S, SHIFTS_S, Query, starts
 from downbeat.tools.errors import ToolError
 
 TRACKS, CHUNKS = 4, 574
@@ -118,6 +118,16 @@ def policies_by_rule(tracks: Mapping[str, Track]) -> Policy:
         return tracks[track].skill_at(tau_s)
 
     return policy
+
+
+def paper_shifts(recordings: Sequence[Recording]) -> Sequence[float]:
+    """Return the paper's five shifts, or twenty where they give fewer chunks than it has [s]."""
+    chunks = sum(
+        len(starts(recording.duration_s, 10_000, shift_s))
+        for recording in recordings
+        for shift_s in SHIFTS_S
+    )
+    return SHIFTS_S if chunks >= CHUNKS else MORE_SHIFTS_S
 
 
 def paper_tracks(recordings: Mapping[str, Recording]) -> list[str]:

@@ -45,6 +45,7 @@ class ChunkReport:
     index_s: float = 0.0
     index_bytes: int = 0
     paper: dict[str, PaperScore] = field(default_factory=dict)
+    paper_shifts: int = 0
     streams: dict[str, StreamScore] = field(default_factory=dict)
     false_locks: dict[str, tuple[float, list[str]]] = field(default_factory=dict)
     cost: Cost = field(default_factory=Cost)
@@ -63,6 +64,7 @@ class ChunkReport:
             "false_accepts_by_class": {n: p.shares() for n, p in self.refused.items()},
             "query_ms": self._quantiles(),
             "paper": {name: score.shares() for name, score in self.paper.items()},
+            "paper_shifts": self.paper_shifts,
             "listener": {name: score.shares() for name, score in self.streams.items()},
             "false_locks": {
                 name: {"minutes": round(seconds / 60.0, 1), "locks": len(locks), "which": locks}
@@ -163,8 +165,8 @@ def _print_paper(console: Console, report: ChunkReport) -> None:
     for name, score in report.paper.items():
         shares = score.shares()
         console.print(
-            f"{name}: policy right in {score.correct} of {score.total} chunks "
-            f"({100.0 * score.correct / max(score.total, 1):.1f} %; the paper has "
+            f"{name}, {report.paper_shifts} shifts: policy right in {score.correct} of "
+            f"{score.total} chunks ({100.0 * score.correct / max(score.total, 1):.1f} %; the paper has "
             f"{100.0 * PAPER_ACCURACY:.1f} %); at a verbatim "
             f"repeat with another policy {score.repeats}; {score.straddling} over a boundary: "
             f"{100.0 * float(shares['straddling_by_start']):.1f} % by their start, "

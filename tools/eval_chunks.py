@@ -38,6 +38,7 @@ from downbeat.tools.chunks_make import (
 )
 from downbeat.tools.chunks_paper import (
     PaperScore,
+    paper_shifts,
     paper_tracks,
     policies_by_length,
     policies_by_rule,
@@ -221,10 +222,13 @@ class ChunkStudy:
             policy = policies_by_length(names)
         matcher = AlignmentMatcher(self.index.subset([self.index.names.index(n) for n in names]))
         wanted = [d for d in self.degradations if d.name in PAPER_CONDITIONS]
+        shifts_s = paper_shifts([self.recordings[name] for name in names])
+        self.report.paper_shifts = len(shifts_s)
         for name in progress(names, "paper", disable=is_quiet, transient=True):
             for degradation in wanted:
                 score = self.report.paper.setdefault(degradation.name, PaperScore())
-                for query in all_queries(self.recordings[name], degradation, self.options.seed):
+                seed = self.options.seed
+                for query in all_queries(self.recordings[name], degradation, seed, shifts_s):
                     is_timed = degradation.name == "clean"
                     result = self._ask(matcher, query.samples, is_timed)
                     score.add(query, result, policy, self.places.is_same_sound)

@@ -13,7 +13,7 @@ from downbeat.perception.matcher import MatchResult
 from downbeat.perception.source import Recording
 from downbeat.tools.catalog_tools import build, match
 from downbeat.tools.chunks_make import CHUNK_S, SHIFTS_S, Query, starts
-from downbeat.tools.chunks_paper import PaperScore, policies_by_length
+from downbeat.tools.chunks_paper import CHUNKS, PaperScore, paper_shifts, policies_by_length
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
 from downbeat.tools.conditions import degradations
 from downbeat.tools.errors import ToolError
@@ -182,3 +182,11 @@ def test_the_identical_recording_under_another_name_is_counted_apart():
     assert (counted.n, counted.accepted, counted.elsewhere) == (4, 2, 1)
     assert counted.shares()["rate"] == 0.5
     assert counted.shares()["elsewhere"] == ["clean: one at 10 s taken for two (0.00)"]
+
+
+@pytest.mark.parametrize(("seconds", "shifts"), [(75.0, 20), (150.0, 5)])
+def test_short_pieces_are_asked_at_more_shifts_until_there_are_as_many_chunks(seconds, shifts):
+    pieces = [Recording(f"{k}", np.zeros(round(seconds * 100), np.float32), 100) for k in range(4)]
+    chosen = paper_shifts(pieces)
+    assert len(chosen) == shifts and set(SHIFTS_S) <= set(chosen)
+    assert sum(len(starts(p.duration_s, 10_000, s)) for p in pieces for s in chosen) >= CHUNKS
