@@ -166,8 +166,8 @@ def _print_paper(console: Console, report: ChunkReport) -> None:
         shares = score.shares()
         console.print(
             f"{name}, {report.paper_shifts} shifts: policy right in {score.correct} of "
-            f"{score.total} chunks ({100.0 * score.correct / max(score.total, 1):.1f} %; the paper has "
-            f"{100.0 * PAPER_ACCURACY:.1f} %); at a verbatim "
+            f"{score.total} chunks ({100.0 * score.correct / max(score.total, 1):.1f} %; the "
+            f"paper has {100.0 * PAPER_ACCURACY:.1f} %); at a verbatim "
             f"repeat with another policy {score.repeats}; {score.straddling} over a boundary: "
             f"{100.0 * float(shares['straddling_by_start']):.1f} % by their start, "
             f"{100.0 * float(shares['straddling_by_end']):.1f} % by their end",
