@@ -17,9 +17,10 @@ class MatchResult:
         track: Best track, empty if nothing was heard.
         tau_s: Position of the window's start in it [s].
         rate: Track seconds per real second.
-        confidence: Acceptance score.
-        accepted: The score passes the threshold of the window's length.
-        doubtful: It does not pass that of a lock.
+        confidence: Acceptance score. Of the alignment matcher: the logarithm of the odds that it
+            is right, above what a window of its length must have.
+        accepted: It may be believed; of the alignment matcher, with a confidence above 0.
+        doubtful: It is not enough for a lock.
         similarity: Best raw correlation, -1..1.
         runner_up: Best other track; empty if it is a decoy.
         runner_up_confidence: Its raw correlation.

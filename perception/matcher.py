@@ -236,7 +236,8 @@ class AlignmentMatcher:
             return MatchResult(votes=len(values))
         seconds = len(values) * ft.HOP_S
         verdict = learned()
-        score = verdict.log_odds(*self._evidence(values, best, others, chance))
+        odds = verdict.log_odds(*self._evidence(values, best, others, chance))
+        score = odds - float(verdict.accept.of(seconds))
         rival = next(iter(others), None)
         is_track = rival is not None and rival.track < len(self.names)
         return MatchResult(
@@ -244,8 +245,8 @@ class AlignmentMatcher:
             tau_s=best.tau_s,
             rate=best.rate,
             confidence=score,
-            accepted=score > float(verdict.accept.of(seconds)) and not twins,
-            doubtful=score <= float(verdict.lock.of(seconds)),
+            accepted=score > 0.0 and not twins,
+            doubtful=odds <= float(verdict.lock.of(seconds)),
             similarity=best.similarity,
             runner_up=self.names[rival.track] if rival is not None and is_track else "",
             runner_up_confidence=rival.similarity if rival is not None else 0.0,

@@ -243,6 +243,22 @@ def test_a_window_that_two_tracks_share_is_accepted_for_neither_and_names_both()
         assert result.accepted and (result.track, result.twins) == (name, ())
 
 
+def test_accepted_is_what_has_a_confidence_above_zero(matcher, music):
+    """So that hearing.toml's `min_confidence = 0` asks for no more than the rule itself."""
+    rng = np.random.default_rng(0)
+    results = []
+    for level in (0.0, 0.05, 0.2, 0.5, 1.5):
+        for start_s in (3.0, 17.0):
+            for seconds in (1.25, 3.0, 5.0):
+                sound = window(music, "piece1", start_s, seconds)
+                noise = level * rng.standard_normal(len(sound)).astype(np.float32)
+                results.append(matcher.query(sound + noise, RATE))
+    assert {r.accepted for r in results} == {True, False}
+    for result in results:
+        assert result.accepted == (result.confidence > 0.0)
+        assert result.doubtful or result.confidence > 1.0
+
+
 def test_a_lock_asks_more_than_one_window_alone():
     for seconds in (1.0, 1.25, 2.0, 3.0, 5.0, 8.0):
         assert learned().lock.of(seconds) > learned().accept.of(seconds) + 0.5
