@@ -5,7 +5,6 @@ Exit codes: 0 good, 1 the thing asked failed (a fall, a missed section), 2 wrong
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import Annotated
 
@@ -59,10 +58,6 @@ Command = (
 
 def main(argv: list[str] | None = None) -> int:
     """Parse, run, and turn wrong input into one sentence and exit code 2."""
-    # One BLAS thread, said before numpy is loaded: with more, OpenBLAS spins on every core and
-    # a 5 ms fingerprint query now and then takes a second. Children inherit it.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
     try:
         command = tyro.cli(
             Command,  # type: ignore[arg-type]

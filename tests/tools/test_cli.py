@@ -1,5 +1,9 @@
 """The command line: wrong input is one sentence and exit code 2; every command has its help."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import soundfile
@@ -127,3 +131,12 @@ def test_exported_model_is_the_robot(tmp_path, capsys):
     assert main(["export", "mjcf", "--out", str(tmp_path / "g1.xml")]) == 0
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "g1.xml"))
     assert model.nu == 29
+
+
+def test_whatever_is_started_from_the_tools_has_one_blas_thread_unless_told_otherwise():
+    """On several, OpenBLAS spins: a query of 5 ms then takes 8, and now and then a second."""
+    code = "import downbeat.tools, os; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    bare = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    for env, threads in ((bare, "1"), ({**bare, "OPENBLAS_NUM_THREADS": "3"}, "3")):
+        run = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+        assert run.stdout.strip() == threads, run.stderr
