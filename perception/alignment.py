@@ -47,7 +47,6 @@ class Fit:
         track: Number of the track; decoys come after the tracks.
         tau_s: Position of the window's start [s].
         rate: Track seconds per real second.
-        information: Mean square of the reference there.
         pitch: How much too high the query sounds, 1 if not.
     """
 
@@ -55,7 +54,6 @@ class Fit:
     track: int
     tau_s: float
     rate: float
-    information: float = field(default=0.0, compare=False)
     pitch: float = field(default=1.0, compare=False)
 
 
@@ -207,8 +205,7 @@ class FineAligner:
         # The line turns about the middle of the window; at another rate the start moves.
         turned = (frames - 1) * (1.0 - rate)
         start = first + int(d) - search + off + turned - PAD_FRAMES
-        information = reference_energy / (frames * ft.NUM_BANDS * QUANTUM**2)
-        return Fit(similarity, track, start * FINE_S, rate, information, heard.pitch)
+        return Fit(similarity, track, start * FINE_S, rate, heard.pitch)
 
     def rows(self, fit: Fit, frames: int) -> Fine:
         """Return the rows of the reference that a query of so many frames met, (frames, NUM_BANDS).

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from downbeat.perception import features as ft
-from downbeat.perception.alignment import FINE_S, RATES, Fit, Heard, spread_out
+from downbeat.perception.alignment import FINE_S, I64, RATES, Fit, Heard, spread_out
 from downbeat.perception.candidates import MAX_SCANNED_TRACKS, prepare
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
@@ -114,8 +114,12 @@ class AlignmentMatcher:
         values = self._heard(samples, sample_rate_hz)
         if values is None:
             return MatchResult()
-        fits, chance = self._search(values)
-        return self._decide(values, fits, chance)
+        found, ranked, chance = self._look(values)
+        result = self._decide(values, _sorted(found), chance)
+        if result.accepted or len(values) < DEEP_FRAMES:
+            return result
+        self._look_deeper(values, found, ranked)
+        return self._decide(values, _sorted(found), chance)
 
     def weigh(
         self, samples: F32, sample_rate_hz: int
@@ -128,7 +132,10 @@ class AlignmentMatcher:
         values = self._heard(samples, sample_rate_hz)
         if values is None:
             return None
-        fits, chance = self._search(values, is_thorough=True)
+        found, ranked, chance = self._look(values)
+        if len(values) >= DEEP_FRAMES:
+            self._look_deeper(values, found, ranked)
+        fits = _sorted(found)
         best, others, twins = self._compare(values, fits)
         if best is None or twins:
             return None
@@ -165,31 +172,31 @@ class AlignmentMatcher:
         values = _audible_features(samples, sample_rate_hz)
         return values[: len(values) // 2 * 2] if len(values) >= MIN_WINDOW_FRAMES else None
 
-    def _search(self, values: F32, is_thorough: bool = False) -> tuple[list[Fit], float]:
-        """Return the fits, best first, and the chance spread of the coarse scores."""
+    def _look(self, values: F32) -> tuple[dict[int, Fit], I64, float]:
+        """Return fits by place of the scan, the places it ranked, and the spread of its scores."""
         ranked, chance = self._scan.search(values, RANKED)
-        track_of = self._scan.track_of
-        places = spread_out(ranked, track_of, CANDIDATES, PER_TRACK).tolist()
-        heard = {1.0: Heard(values)}
-        found = {place: self._fit(heard[1.0], place) for place in places}
+        places = spread_out(ranked, self._scan.track_of, CANDIDATES, PER_TRACK).tolist()
+        heard = Heard(values)
+        found = {place: self._fit(heard, place) for place in places}
         is_plain = bool(found) and max(found.values()).similarity > PLAIN_SIMILARITY
         for pitch in () if is_plain else PITCHES:
-            heard[pitch] = Heard(ft.shift_pitch(values, pitch), pitch)
+            heard = Heard(ft.shift_pitch(values, pitch), pitch)
             for place in places[:PITCHED]:
-                found[place] = max(found[place], self._fit(heard[pitch], place))
+                found[place] = max(found[place], self._fit(heard, place))
         self._look_at_repeats(values, found)
-        if len(values) >= DEEP_FRAMES and (
-            is_thorough or not self._decide(values, _sorted(found), chance).accepted
-        ):
-            best = max(found.values())
-            between, _ = self._scan.search(values[1:], RANKED)
-            for order in (between, ranked):
-                for place in spread_out(order, track_of, DEEP_CANDIDATES, PER_TRACK).tolist():
-                    if place not in found:
-                        found[place] = self._fit(heard[1.0], place, DEEP_RATES)
-            if max(found.values()).track != best.track:
-                self._look_at_repeats(values, found)
-        return _sorted(found), chance
+        return found, ranked, chance
+
+    def _look_deeper(self, values: F32, found: dict[int, Fit], ranked: I64) -> None:
+        """Add fits at places between those of the scan, and behind the first that it ranked."""
+        track, heard = max(found.values()).track, Heard(values)
+        track_of = self._scan.track_of
+        between, _ = self._scan.search(values[1:], RANKED)
+        for order in (between, ranked):
+            for place in spread_out(order, track_of, DEEP_CANDIDATES, PER_TRACK).tolist():
+                if place not in found:
+                    found[place] = self._fit(heard, place, DEEP_RATES)
+        if max(found.values()).track != track:
+            self._look_at_repeats(values, found)
 
     def _look_at_repeats(self, values: F32, found: dict[int, Fit]) -> None:
         """Add other places of the winning track, at its pitch and speed: it may repeat itself."""
