@@ -290,6 +290,8 @@ class Prover:
         if chosen.query_id or not config.use_checker:
             return
         start = chosen.plan.hop.start_utime
+        if start <= at.now + TICK_US // 2:
+            return  # decided in this tick: no answer could come in time
         last = start if out is None else min(start, max(out.start_utime, at.now))
         if at.now < min(last, start) - max(config.ask_ahead_us, config.patience_us):
             return

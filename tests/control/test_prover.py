@@ -192,3 +192,17 @@ def test_a_dance_is_played_at_the_nearest_tempo_that_it_is_certified_for(library
     assert rig.log[-1].status.skill == "discostep"
     assert rig.log[-1].status.phase_rate == pytest.approx(95.0 / 120.0, rel=0.11)
     assert any("certified" in reason for _, _, reason in rig.words(1))
+
+
+def test_nothing_is_asked_that_could_not_be_answered_in_time(library):
+    """A plan that begins in this tick is decided in it: its answer would be thrown away."""
+    asked = []
+
+    def answer(query):
+        asked.append(query)
+        return 6 if query.from_skill == "kpop" else 0
+
+    rig, _ = dance(library, atlas_of(0.009, PAIR), answer=answer, ahead_s=0.0)
+    assert plan_of(rig) == "via_stand" and asked
+    for query in asked:
+        assert query.deadline_utime > query.header.utime
