@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ import soxr
 
 from downbeat.perception.index import Index
 from downbeat.perception.source import Recording
+from downbeat.tools.chunks_make import CHUNK_S, is_silent
+from downbeat.tools.console import say
 from downbeat.tools.errors import ToolError
 from downbeat.tools.matcher_sounds import load_folder
 
@@ -35,8 +38,37 @@ def at_rate(recording: Recording) -> Recording:
 
 
 def read_folder(folder: Path | None) -> Sequence[Recording]:
-    """Return the recordings of a folder at the rate of the study; none of no folder."""
-    return [] if folder is None else [at_rate(r) for r in load_folder(folder).values()]
+    """Return the recordings of a folder at the rate of the study; none of no folder.
+
+    What cannot be read is named and left out.
+    """
+    return [] if folder is None else [at_rate(r) for r in load_folder(folder, say).values()]
+
+
+def read_tracks(folder: Path) -> dict[str, Recording]:
+    """Return the recordings of a folder that can be indexed, by name, at the rate of the study.
+
+    What cannot be read, is silent or shorter than a window is named and left out.
+
+    Raises:
+        ToolError: Fewer than two are left.
+        PerceptionError: No folder of audio files.
+    """
+    found = {name: at_rate(r) for name, r in load_folder(folder, say).items()}
+    useless = {
+        name: "silent" if is_silent(r.samples) else f"shorter than {CHUNK_S:g} s"
+        for name, r in found.items()
+        if is_silent(r.samples) or r.duration_s < CHUNK_S
+    }
+    for name, why in useless.items():
+        say(f"left out: {name} is {why}")
+    kept = {name: replace(r, name=name) for name, r in found.items() if name not in useless}
+    if len(kept) < 2:
+        raise ToolError(
+            f"{folder} holds {len(kept) or 'no'} recording{'' if len(kept) == 1 else 's'} that can "
+            f"be indexed; valid are two or more that sound and last {CHUNK_S:g} s."
+        )
+    return kept
 
 
 def read_groups(path: Path | None) -> Mapping[str, str]:

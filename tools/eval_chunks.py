@@ -26,6 +26,7 @@ from downbeat.tools.chunks_folder import (
     make_index,
     read_folder,
     read_groups,
+    read_tracks,
 )
 from downbeat.tools.chunks_make import (
     CHUNK_S,
@@ -65,7 +66,7 @@ from downbeat.tools.chunks_stream import (
 from downbeat.tools.composer.store import composed_recording
 from downbeat.tools.conditions import degradations
 from downbeat.tools.errors import ToolError
-from downbeat.tools.matcher_sounds import load_folder, make_babble, synthetic_sounds
+from downbeat.tools.matcher_sounds import make_babble, synthetic_sounds
 from downbeat.tools.passages import find_passages
 from downbeat.tools.rundir import CACHE_DIR
 
@@ -119,13 +120,9 @@ class ChunkStudy:
         if options.tracks is None:
             self.rules = load_tracks(BUNDLED_TRACKS)
             pieces = {n: composed_recording(t.composition, COMPOSED) for n, t in self.rules.items()}
+            self.recordings = {n: replace(at_rate(r), name=n) for n, r in pieces.items()}
         else:
-            pieces = load_folder(options.tracks)
-        self.recordings = {
-            name: replace(at_rate(recording), name=name) for name, recording in pieces.items()
-        }
-        if len(self.recordings) < 2:
-            raise ToolError(f"{options.tracks} holds one recording; the study needs two or more.")
+            self.recordings = read_tracks(options.tracks)
         self.groups = read_groups(options.groups)
         self.voices = read_folder(options.speech)
         self.others = read_folder(options.other)

@@ -12,17 +12,13 @@ import numpy as np
 
 from downbeat.policies.manifest import load_skills
 from downbeat.tools.commands.evaluate import Mashup as MashupArgs
+from downbeat.tools.console import say
 from downbeat.tools.errors import ToolError
 from downbeat.tools.finish import finish_run
 from downbeat.tools.mashup import Mashup, build_mashup, seeded_set_list
 from downbeat.tools.recordings import INDEX_NAME, Library, build_library, with_duration
 from downbeat.tools.rundir import new_run_dir
 from downbeat.tools.show import SHOW_NAME, Show, ShowConfig, load_show
-
-
-def say(text: str) -> None:
-    """Print progress to standard error; standard output is for results."""
-    print(text, file=sys.stderr, flush=True)
 
 
 def dance_names() -> list[str]:

@@ -28,6 +28,7 @@ from downbeat.perception.router import (
 )
 from downbeat.perception.router_choice import make_router
 from downbeat.tools.conditions import reverb
+from downbeat.tools.console import say
 from downbeat.tools.errors import ToolError
 from downbeat.tools.matcher_sounds import add_noise, load_folder, pink_noise, synthetic_sounds
 from downbeat.tools.recogniser_sentences import TEST_SENTENCES, TEST_VOICES
@@ -253,7 +254,7 @@ def in_a_room(window: F32, rng: np.random.Generator) -> F32:
 
 
 def _folder(folder: Path | None) -> dict[str, F32]:
-    return {} if folder is None else {n: at_rate(r) for n, r in load_folder(folder).items()}
+    return {} if folder is None else {n: at_rate(r) for n, r in load_folder(folder, say).items()}
 
 
 def eval_router(options: RouterOptions, as_json: bool) -> int:

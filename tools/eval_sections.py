@@ -18,8 +18,8 @@ from downbeat.perception import section_features as sf
 from downbeat.perception.features import F32
 from downbeat.perception.section_finder import SectionFinder, Weights
 from downbeat.perception.source import Recording
+from downbeat.tools.console import say
 from downbeat.tools.errors import ToolError
-from downbeat.tools.eval_mashup import say
 from downbeat.tools.matcher_sounds import load_folder
 from downbeat.tools.section_score import SectionScore
 

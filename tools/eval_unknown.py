@@ -23,6 +23,7 @@ from downbeat.catalog.tracks import Track
 from downbeat.lcm_types import music_match_t, skill_request_t
 from downbeat.perception.source import Recording
 from downbeat.policies.manifest import load_skills
+from downbeat.tools.console import say
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import dance_names, write_show
 from downbeat.tools.finish import finish_run
@@ -83,7 +84,7 @@ def eval_unknown(
     Raises:
         ToolError: No stranger is long and steady enough.
     """
-    pieces = [r for r in load_folder(strangers).values() if r.duration_s >= MIN_S + 1.0]
+    pieces = [r for r in load_folder(strangers, say).values() if r.duration_s >= MIN_S + 1.0]
     pieces = [r for r in pieces if find_reference(r).is_steady]
     order = np.random.default_rng(seed).permutation(len(pieces))[:count]
     if not len(order):

@@ -21,12 +21,11 @@ from downbeat.perception.index import Index
 from downbeat.perception.matcher import AlignmentMatcher
 from downbeat.perception.source import Recording
 from downbeat.tools import conditions as cd
-from downbeat.tools.chunks_folder import RATE_HZ, at_rate, make_index, read_folder, read_groups
+from downbeat.tools.chunks_folder import RATE_HZ, make_index, read_folder, read_groups, read_tracks
 from downbeat.tools.chunks_make import Query, is_silent, recombined
 from downbeat.tools.chunks_score import ConditionScore, Places
 from downbeat.tools.conditions import Degradation
-from downbeat.tools.errors import ToolError
-from downbeat.tools.matcher_sounds import load_folder, make_babble, white_noise
+from downbeat.tools.matcher_sounds import make_babble, white_noise
 from downbeat.tools.passages import find_passages
 
 LENGTHS_S = (1.0, 1.25, 2.0, 3.0, 5.0, 8.0)
@@ -114,10 +113,7 @@ class VerdictStudy:
             ToolError: Fewer than two recordings that can be indexed.
             PerceptionError: A folder without recordings.
         """
-        found = load_folder(tracks)
-        self.recordings = {n: replace(at_rate(r), name=n) for n, r in found.items()}
-        if len(self.recordings) < 2:
-            raise ToolError(f"{tracks} holds one recording; two or more are needed.")
+        self.recordings = read_tracks(tracks)
         self.groups = read_groups(groups)
         voices = [read_folder(folder) for folder in speech]
         self.babbles = [make_babble([v.samples for v in all_], 30.0, RATE_HZ) for all_ in voices]

@@ -190,3 +190,23 @@ def test_short_pieces_are_asked_at_more_shifts_until_there_are_as_many_chunks(se
     chosen = paper_shifts(pieces)
     assert len(chosen) == shifts and set(SHIFTS_S) <= set(chosen)
     assert sum(len(starts(p.duration_s, 10_000, s)) for p in pieces for s in chosen) >= CHUNKS
+
+
+def test_what_cannot_be_read_or_indexed_is_named_and_left_out(folder, tmp_path, capsys):
+    for file in (folder / "music").iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    (tmp_path / "letter.wav").write_text("no sound")
+    soundfile.write(tmp_path / "pause.wav", np.zeros(8 * RATE), RATE)
+    soundfile.write(tmp_path / "jingle.wav", make_music(7, 2.0), RATE)
+    study = ChunkStudy(ChunkOptions(tracks=tmp_path))
+    assert sorted(study.recordings) == ["piece0", "piece1", "piece2"]
+    said = capsys.readouterr().err.splitlines()
+    for name in ("letter", "pause is silent", "jingle is shorter"):
+        assert sum(name in line and line.startswith("left out") for line in said) == 1
+
+
+def test_a_folder_with_one_useful_recording_is_refused_in_a_sentence(folder, tmp_path):
+    soundfile.write(tmp_path / "pause.wav", np.zeros(8 * RATE), RATE)
+    (tmp_path / "piece.wav").symlink_to(folder / "music" / "piece0.wav")
+    with pytest.raises(ToolError, match="holds 1 recording that can be indexed; valid are two"):
+        ChunkStudy(ChunkOptions(tracks=tmp_path))
