@@ -22,11 +22,9 @@ from scipy.special import expit
 from downbeat.perception import features as ft
 from downbeat.perception.verdict import (
     FORMAT,
-    LEVELS,
-    NUMBERS,
     WEIGHTS,
     Line,
-    beyond_strangers,
+    certainty,
     with_length,
 )
 from downbeat.tools.errors import ToolError
@@ -43,7 +41,6 @@ ACCEPTED = 0.001
 point more under loud voices, and three times as many pieces of the same composer."""
 LOCKED_ABOVE = 2.0
 """A lock asks for so much more: a listener that is lost asks 40,000 windows an hour."""
-SIMILARITY, SECOND = (LEVELS**2 + NUMBERS.index(name) for name in ("similarity", "second"))
 
 
 @dataclass(frozen=True)
@@ -55,8 +52,7 @@ class Model:
 
     def log_odds(self, measures: F64) -> F64:
         """Weigh rows, (n, 2 MEASURES + 1), as `Verdict.log_odds` does."""
-        sure = beyond_strangers(measures[:, SIMILARITY] - measures[:, SECOND])
-        return np.asarray(measures @ self.weights + self.bias + sure)
+        return np.asarray(measures @ self.weights + self.bias + certainty(measures))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

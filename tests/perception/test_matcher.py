@@ -299,3 +299,30 @@ def test_real_recordings_are_found_in_two_seconds(real_music):
             right += result.accepted and result.track == recording.name
             assert not (result.accepted and result.track != recording.name)
     assert right >= 0.9 * total
+
+
+def test_a_piece_of_single_sounds_is_known_and_is_not_heard_in_every_click():
+    """Most of such a window is pause, and pauses are alike: words, hums and clicks are no match."""
+    rng = np.random.default_rng(4)
+    piece = np.zeros(40 * RATE, np.float32)
+    t = np.arange(RATE // 5) / RATE
+    for start in np.cumsum(rng.uniform(0.6, 2.0, 24)):
+        note = 0.3 * np.sin(2 * np.pi * rng.uniform(300, 3000) * t) * np.exp(-t * 25)
+        piece[round(start * RATE) :][: len(t)] += note[: len(piece) - round(start * RATE)]
+    sparse = AlignmentMatcher()
+    sparse.add("sparse", piece, RATE)
+    sparse.add("piece", make_music(60, 40.0), RATE)
+    own = [sparse.query(piece[s * RATE : (s + 5) * RATE], RATE) for s in range(2, 24, 4)]
+    assert all(result.track == "sparse" for result in own)
+    assert sum(result.accepted for result in own) >= 5
+    strangers = []
+    for _ in range(12):
+        sound = 1e-4 * rng.standard_normal(8 * RATE)
+        for start in np.cumsum(rng.uniform(0.4, 1.5, 5)):
+            hum = np.sin(2 * np.pi * rng.uniform(100, 2500) * t) * np.exp(-t * rng.uniform(2, 30))
+            sound[round(start * RATE) :][: len(t)] += 0.3 * hum
+        strangers.append(sound.astype(np.float32))
+    strangers += [0.1 * np.sin(2 * np.pi * f * np.arange(8 * RATE) / RATE) for f in (440, 1000)]
+    for sound in strangers:
+        for seconds in (1.0, 1.25, 2.0, 3.0, 5.0):
+            assert not sparse.query(sound[: round(seconds * RATE)], RATE).accepted
