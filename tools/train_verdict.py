@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import argparse
 import io
+import sys
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +29,8 @@ from downbeat.perception.verdict import (
     certainty,
     with_length,
 )
+from downbeat.runtime.errors import DownbeatError
+from downbeat.tools.console import say
 from downbeat.tools.errors import ToolError
 from downbeat.tools.verdict_windows import LENGTHS_S, VerdictStudy
 
@@ -61,15 +65,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--tracks", type=Path, nargs="+", required=True, help="folders of music")
     parser.add_argument("--groups", type=Path, nargs="*", default=[], help="track, tab, group")
     parser.add_argument("--speech", type=Path, nargs="*", default=[], help="folders of voices")
-    parser.add_argument("--windows", type=Path, help="keep what was gathered in this folder")
-    parser.add_argument("--sounds", type=int, default=SOUNDS, help="of each recording")
-    parser.add_argument("--out", type=Path, default=WEIGHTS)
+    parser.add_argument(
+        "--windows", type=Path, help="keep what was gathered in this folder, for another run"
+    )
+    parser.add_argument(
+        "--sounds", type=int, default=SOUNDS, help=f"of each recording (default: {SOUNDS})"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=WEIGHTS,
+        help="an .npz file (default: replace the weights that the matcher reads)",
+    )  # fmt: skip
     args = parser.parse_args(arguments)
-    if args.groups and len(args.groups) != len(args.tracks):
-        raise ToolError(
-            f"{len(args.groups)} group files for {len(args.tracks)} folders; valid is one for "
-            "each, or none."
-        )
+    _check(args)
     folders = {
         str(tracks): gather(tracks, groups, args.speech, args.sounds, args.windows)
         for tracks, groups in zip(args.tracks, args.groups or [None] * len(args.tracks))
@@ -86,11 +93,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"written: {args.out} ({args.out.stat().st_size / 1e3:.1f} kB)")
 
 
+def _check(args: argparse.Namespace) -> None:
+    """Refuse before the work what would fail after it."""
+    if args.groups and len(args.groups) != len(args.tracks):
+        raise ToolError(
+            f"{len(args.groups)} group files for {len(args.tracks)} folders; valid is one for "
+            "each, or none."
+        )
+    if len({path.resolve() for path in args.tracks}) < len(args.tracks):
+        raise ToolError("--tracks names a folder twice; each is held apart from the others.")
+    if args.sounds < 1:
+        raise ToolError(f"--sounds {args.sounds} gathers nothing; valid is 1 or more.")
+    if args.out.suffix != ".npz" or not args.out.parent.is_dir():
+        raise ToolError(f"--out {args.out} cannot be written; valid is NAME.npz in a folder.")
+    if not args.speech:
+        say("no --speech: nothing is heard among voices or through the robot's microphone")
+    if len(args.tracks) < 2:
+        say("one folder: nothing is held apart, and the thresholds come from what was learned")
+
+
 def gather(
     tracks: Path, groups: Path | None, speech: Sequence[Path], count: int, keep: Path | None
 ) -> Rows:
     """Return the windows of a folder, perhaps those kept by an earlier run."""
-    kept = keep / f"{tracks.name}.npz" if keep else None
+    what = [str(path.resolve()) for path in (tracks, *speech)]
+    made_of = zlib.crc32("|".join([*what, str(groups), str(count), str(SEED)]).encode())
+    kept = keep / f"{tracks.name}-{made_of:08x}.npz" if keep else None
     if kept is not None and kept.is_file():
         with np.load(kept) as file:
             return dict(file)
@@ -138,6 +166,11 @@ def held_apart(folders: Mapping[str, Rows]) -> dict[str, Model]:
 def thresholds(rows: Rows, scores: F64) -> tuple[Line, Line]:
     """Return what a window must reach to be accepted, and for a lock, by its length."""
     strangers, share = ~rows["is_known"], 1.0 - ACCEPTED
+    fewest = min(int((is_long & strangers).sum()) for is_long in _by_length(rows))
+    if fewest == 0:
+        raise ToolError("Too few windows for thresholds; valid are more --sounds or recordings.")
+    if fewest * ACCEPTED < 1.0:
+        say(f"only {fewest} windows of strangers of a length: one in a thousand is a guess")
     # Straight over the logarithm of the length: the few highest of each length scatter.
     levels = [np.quantile(scores[is_long & strangers], share) for is_long in _by_length(rows)]
     slope = float(np.polyfit(np.log(LENGTHS_S), levels, 1)[0])
@@ -194,4 +227,8 @@ def save(path: Path, model: Model, accept: Line, lock: Line) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except DownbeatError as error:
+        print(f"train_verdict: {error}", file=sys.stderr)
+        sys.exit(2)

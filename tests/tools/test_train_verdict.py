@@ -8,6 +8,7 @@ import pytest
 import soundfile
 
 from downbeat.perception.verdict import MEASURES, Verdict, with_length
+from downbeat.runtime.errors import DownbeatError
 from downbeat.tools.errors import ToolError
 from downbeat.tools.train_verdict import fit, main
 from downbeat.tools.verdict_windows import VerdictStudy, random_condition
@@ -90,3 +91,30 @@ def test_the_script_writes_weights_that_the_matcher_reads(folders, tmp_path, cap
 def test_folders_and_groups_must_pair(folders, tmp_path):
     with pytest.raises(ToolError, match="1 group files for 2 folders"):
         main(["--tracks", str(folders / "one"), str(folders / "two"), "--groups", "x.tsv"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--sounds", "0"], "--sounds 0 gathers nothing"),
+        (["--out", "nowhere/x.npz"], "cannot be written"),
+        (["--out", "weights.txt"], "cannot be written"),
+        (["--speech", "nowhere"], "nowhere"),
+    ],
+)
+def test_what_cannot_work_is_refused_before_the_work_in_a_sentence(folders, options, said):
+    with pytest.raises(DownbeatError, match=said):
+        main(["--tracks", str(folders / "one"), str(folders / "two"), *options])
+
+
+def test_the_same_folder_twice_is_no_two_folders(folders):
+    with pytest.raises(ToolError, match="names a folder twice"):
+        main(["--tracks", str(folders / "one"), str(folders / "two" / ".." / "one")])
+
+
+def test_what_was_kept_is_used_only_for_the_same_folders_and_counts(folders, tmp_path, capsys):
+    for options in (["--sounds", "3"], ["--sounds", "4"], ["--sounds", "3"]):
+        tracks = ["--tracks", str(folders / "one")]
+        main([*tracks, *options, "--windows", str(tmp_path), "--out", str(tmp_path / "v.npz")])
+    assert capsys.readouterr().out.count("gathering") == 2
+    assert len(list(tmp_path.glob("one-*.npz"))) == 2
