@@ -2,7 +2,8 @@
 
 Tracks carry a policy per section; a chunk is right if it is accepted and the section at its middle,
 as found, has the policy of the section at its middle, as played. A chunk over a boundary is scored
-apart, by the section in which it begins and by the one in which it ends.
+apart, by the section in which it begins and by the one in which it ends. A chunk that is silent in
+the clean recording has nothing to recognise: it is named, and counted as neither.
 """
 
 from __future__ import annotations
@@ -13,7 +14,14 @@ from dataclasses import dataclass, field
 from downbeat.catalog.tracks import Track
 from downbeat.perception.matcher import MatchResult
 from downbeat.perception.source import Recording
-from downbeat.tools.chunks_make import CHUNK_S, MORE_SHIFTS_S, SHIFTS_S, Query, starts
+from downbeat.tools.chunks_make import (
+    CHUNK_S,
+    MORE_SHIFTS_S,
+    SHIFTS_S,
+    Query,
+    is_silent,
+    starts,
+)
 from downbeat.tools.errors import ToolError
 
 TRACKS, CHUNKS = 4, 574
@@ -48,9 +56,10 @@ class PaperScore:
     by_end: int = 0
     repeats: int = 0
     wrong: list[str] = field(default_factory=list)
+    silent: list[str] = field(default_factory=list)
 
     def shares(self) -> dict[str, float | list[str]]:
-        """Return counts and shares."""
+        """Return counts and shares; chunks over a boundary, at a repeat or silent stand apart."""
         across = max(self.straddling, 1)
         return {
             "total": self.total,
@@ -61,7 +70,9 @@ class PaperScore:
             "straddling": self.straddling,
             "straddling_by_start": round(self.by_start / across, 4),
             "straddling_by_end": round(self.by_end / across, 4),
-            "wrong": self.wrong[:20],
+            "wrong": self.wrong,
+            "silent": len(self.silent),
+            "silent_chunks": self.silent,
         }
 
     def add(
@@ -94,7 +105,19 @@ class PaperScore:
             self.repeats += 1
         else:
             self.total += 1
-            self.wrong.append(f"{query.track} at {begin:g} s: {result.track} {result.tau_s:.1f} s")
+            self.wrong.append(f"{query.track} at {begin:g} s: {_answer(result)}")
+
+    def leave_out(self, query: Query) -> None:
+        """Note a chunk that is silent."""
+        self.silent.append(f"{query.track} at {query.start_s:g} s")
+
+
+def _answer(result: MatchResult) -> str:
+    """Return what the matcher said in a few words."""
+    if not result.track:
+        return "nothing found"
+    place = f"{result.track} at {result.tau_s:.1f} s"
+    return f"taken for {place}" if result.accepted else f"not accepted (best is {place})"
 
 
 def policies_by_length(names: Sequence[str], section_s: float = SECTION_S) -> Policy:
@@ -122,12 +145,16 @@ def policies_by_rule(tracks: Mapping[str, Track]) -> Policy:
 
 def paper_shifts(recordings: Sequence[Recording]) -> Sequence[float]:
     """Return the paper's five shifts, or twenty where they give fewer chunks than it has [s]."""
-    chunks = sum(
-        len(starts(recording.duration_s, 10_000, shift_s))
-        for recording in recordings
-        for shift_s in SHIFTS_S
-    )
+    chunks = sum(sounding_chunks(recording) for recording in recordings)
     return SHIFTS_S if chunks >= CHUNKS else MORE_SHIFTS_S
+
+
+def sounding_chunks(recording: Recording) -> int:
+    """Return how many chunks at the paper's shifts hold sound."""
+    rate = recording.sample_rate_hz
+    begins = [s for shift in SHIFTS_S for s in starts(recording.duration_s, 10_000, shift)]
+    chunks = (recording.samples[round(s * rate) : round((s + CHUNK_S) * rate)] for s in begins)
+    return sum(not is_silent(samples) for samples in chunks)
 
 
 def paper_tracks(recordings: Mapping[str, Recording]) -> list[str]:
@@ -139,11 +166,10 @@ def paper_tracks(recordings: Mapping[str, Recording]) -> list[str]:
     ranked = sorted(recordings, key=lambda name: -recordings[name].duration_s)
     chunks = 0
     for count, name in enumerate(ranked, 1):
-        length_s = recordings[name].duration_s
-        chunks += sum(len(starts(length_s, 10_000, shift_s)) for shift_s in SHIFTS_S)
+        chunks += sounding_chunks(recordings[name])
         if count >= TRACKS and chunks >= CHUNKS:
             return ranked[:count]
     raise ToolError(
-        f"The experiment needs {TRACKS} tracks and {CHUNKS} chunks; these {len(ranked)} tracks "
-        f"give {chunks}."
+        f"The experiment needs {TRACKS} tracks and {CHUNKS} chunks that hold sound; these "
+        f"{len(ranked)} tracks give {chunks}."
     )

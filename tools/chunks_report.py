@@ -6,12 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from downbeat.tools.chunks_paper import PAPER_ACCURACY, PaperScore
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts
 from downbeat.tools.chunks_stream import Cost, StreamScore
+from downbeat.tools.console import some
 
 SHORT_S = 3.0
 SHORT = f", {SHORT_S:g} s"
@@ -24,6 +26,22 @@ MUSIC, KIN, RECOMBINED, NO_MUSIC, SILENT = (
     "silence",
 )
 """Classes of what must be refused; KIN is a part of MUSIC, and a class of its own."""
+LABELS = {
+    MUSIC: "unknown music",
+    KIN: "unknown music of kin",
+    RECOMBINED: "shuffled, backwards",
+    NO_MUSIC: "no music",
+    SILENT: "silence",
+}
+"""Their names in a table of 80 columns."""
+REFUSED_HOW = (
+    f"unknown music: {MUSIC}. of kin: {KIN}, or of its sound bank. shuffled, backwards: "
+    f"{RECOMBINED}. no music: {NO_MUSIC}. kin: of the accepted, taken for a piece of the same "
+    "composer or sound bank. copies: accepted too, and not counted as wrong, as the track that it "
+    "was taken for holds the identical recording there (as for 'repeat')."
+)
+NONE = "-"
+MOST_MISSED, MOST_WRONG = 4, 5
 HOW = (
     "track: best track right, accepted or not. and place: right within 0.1 s, or at a repeat. "
     "accepted: that, and accepted. wrong: accepted, another track or place. repeat: part of "
@@ -35,8 +53,9 @@ HOW = (
 
 @dataclass
 class ChunkReport:
-    """Everything that was measured."""
+    """Everything that was measured; `has_groups`: whether kin can be told from others."""
 
+    has_groups: bool = False
     conditions: dict[str, ConditionScore] = field(default_factory=dict)
     refused: dict[str, FalseAccepts] = field(default_factory=dict)
     query_ms: list[float] = field(default_factory=list)
@@ -59,9 +78,9 @@ class ChunkReport:
         return {
             "chunks": {"total": total, "correct": correct},
             "conditions": {name: score.shares() for name, score in self.conditions.items()},
-            "false_accepts": self.all_refused("").shares(),
-            "false_accepts_short": self.all_refused(SHORT).shares(),
-            "false_accepts_by_class": {n: p.shares() for n, p in self.refused.items()},
+            "false_accepts": self._shares(self.all_refused("")),
+            "false_accepts_short": self._shares(self.all_refused(SHORT)),
+            "false_accepts_by_class": {n: self._shares(p) for n, p in self.refused.items()},
             "query_ms": self._quantiles(),
             "paper": {name: score.shares() for name, score in self.paper.items()},
             "paper_shifts": self.paper_shifts,
@@ -80,6 +99,11 @@ class ChunkReport:
             },
         }
 
+    def _shares(self, part: FalseAccepts) -> dict[str, Any]:
+        """Return shares; without groups nobody knows what is kin."""
+        unknown = {} if self.has_groups else {"taken_for_kin": None, "rate_without_kin": None}
+        return {**part.shares(), **unknown}
+
     def all_refused(self, suffix: str) -> FalseAccepts:
         """Return what must be refused of all classes, at one length of window."""
         counted = FalseAccepts()
@@ -93,9 +117,12 @@ class ChunkReport:
             counted.elsewhere_names += part.elsewhere_names
         return counted
 
-    def _quantiles(self) -> dict[str, float]:
-        values = self.query_ms or [float("nan")]
-        return {f"p{q}": round(float(np.percentile(values, q)), 2) for q in (50, 99)}
+    def _quantiles(self) -> dict[str, float | None]:
+        """Return quantiles of the time of a query [ms]; None where nothing was asked."""
+        times = self.query_ms
+        return {
+            f"p{q}": round(float(np.percentile(times, q)), 2) if times else None for q in (50, 99)
+        }
 
 
 def print_report(report: ChunkReport) -> None:
@@ -105,15 +132,17 @@ def print_report(report: ChunkReport) -> None:
     _print_paper(console, report)
     if report.conditions:
         _print_windows(console, report)
+    if report.refused:
+        _print_refused(console, report)
     _print_streams(console, report)
     errors = [e for score in report.conditions.values() for e in score.error_ms]
-    catalogue = contract["catalogue"]
+    place = [float(np.percentile(errors, q)) if errors else None for q in (50, 99)]
+    catalogue, query = contract["catalogue"], contract["query_ms"]
     console.print(
         f"{catalogue['tracks']} tracks, {catalogue['minutes']:g} min, index "
         f"{catalogue['times_real_time']} x real time, {catalogue['kib_per_minute']:g} KiB/min; "
-        f"query p50 {contract['query_ms']['p50']:g} ms, p99 {contract['query_ms']['p99']:g} ms; "
-        f"place p50 {np.percentile(errors or [0.0], 50):.1f} ms, "
-        f"p99 {np.percentile(errors or [0.0], 99):.1f} ms",
+        f"query p50 {_figure(query['p50'], ' ms')}, p99 {_figure(query['p99'], ' ms')}; "
+        f"place p50 {_figure(place[0], ' ms', '.1f')}, p99 {_figure(place[1], ' ms', '.1f')}",
         highlight=False,
     )
     for name, score in report.conditions.items():
@@ -121,17 +150,29 @@ def print_report(report: ChunkReport) -> None:
             said = f"{score.twins} of {score.n} windows name two tracks that share the passage"
             console.print(f"{name}: {said}, and are not accepted", highlight=False)
         if score.missed and not name.endswith(SHORT):
-            some = "; ".join(score.missed[:4])
-            console.print(f"missed, {name}: {some}", highlight=False, soft_wrap=True)
-    for part in report.refused.values():
-        for line in part.names[:5]:
-            console.print(f"accepted: {line}", highlight=False)
-        for line in part.elsewhere_names[:5]:
-            console.print(f"same recording elsewhere: {line}", highlight=False)
+            missed = f"missed, {name}: {some(score.missed, MOST_MISSED)}"
+            console.print(missed, highlight=False, soft_wrap=True)
+    for name, part in report.refused.items():
+        for what, names in (("accepted", part.names), ("copies", part.elsewhere_names)):
+            if names:
+                said = f"{what}, {name}: {some(names, MOST_WRONG)}"
+                console.print(said, highlight=False, soft_wrap=True)
+
+
+def _figure(value: float | None, unit: str, form: str = "g") -> str:
+    return NONE if value is None else f"{value:{form}}{unit}"
+
+
+def _table(*columns: str, **options: Any) -> Table:
+    """Return a table whose rows fit into 80 columns."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, **options)
+    for number, title in enumerate(columns):
+        table.add_column(title, no_wrap=True, justify="right" if number else "left")
+    return table
 
 
 def _print_windows(console: Console, report: ChunkReport) -> None:
-    table = Table(
+    table = _table(
         "condition", "n", "track", "and place", "accepted", "wrong", "repeat", f"{SHORT_S:g} s",
         title="[%] of the windows that hold sound",
         caption=HOW,
@@ -145,38 +186,49 @@ def _print_windows(console: Console, report: ChunkReport) -> None:
         repeats = f"{100.0 * cells['elsewhere']:.1f}"
         table.add_row(name, str(score.n), *shares, repeats, f"{100.0 * short:.1f}")
     console.print(table)
-    table = Table(
-        "must be refused", "n", "accepted", "%", "upper 95 %", "of these kin",
-        "same recording elsewhere",
-        caption="of these kin: taken for a piece of the same composer or sound bank. same "
-        "recording elsewhere: accepted too, and not counted as wrong, as the track that it was "
-        "taken for holds the identical recording there (as for 'repeat').",
+
+
+def _print_refused(console: Console, report: ChunkReport) -> None:
+    kin = "" if report.has_groups else " Who is kin is only known with --groups."
+    table = _table(
+        "must be refused", "n", "accepted", "%", "upper 95 %", "kin", "copies",
+        caption=REFUSED_HOW + kin,
     )  # fmt: skip
+    rows = {LABELS[name.removesuffix(SHORT)] + (SHORT if name.endswith(SHORT) else ""): part
+            for name, part in report.refused.items()}  # fmt: skip
     totals = {f"all{suffix}": report.all_refused(suffix) for suffix in ("", SHORT)}
-    for name, part in {**report.refused, **totals}.items():
-        rate = f"{100.0 * part.accepted / max(part.n, 1):.2f}"
-        bound = f"{100.0 * part.upper95:.2f}"
-        counts = (str(part.n), str(part.accepted), rate, bound, str(part.kin), str(part.elsewhere))
-        table.add_row(name, *counts)
+    for name, part in {**rows, **totals}.items():
+        if part.n == 0:
+            table.add_row(name, "0", *[NONE] * 5)
+            continue
+        rate, bound = f"{100.0 * part.accepted / part.n:.2f}", f"{100.0 * part.upper95:.2f}"
+        known = str(part.kin) if report.has_groups else NONE
+        table.add_row(
+            name, str(part.n), str(part.accepted), rate, bound, known, str(part.elsewhere)
+        )
     console.print(table)
 
 
 def _print_paper(console: Console, report: ChunkReport) -> None:
+    """Print the paper's figure, and apart from it what is not in its total."""
     for name, score in report.paper.items():
         shares = score.shares()
         console.print(
             f"{name}, {report.paper_shifts} shifts: policy right in {score.correct} of "
-            f"{score.total} chunks ({100.0 * score.correct / max(score.total, 1):.1f} %; the "
-            f"paper has {100.0 * PAPER_ACCURACY:.1f} %); at a verbatim "
-            f"repeat with another policy {score.repeats}; {score.straddling} over a boundary: "
-            f"{100.0 * float(shares['straddling_by_start']):.1f} % by their start, "
-            f"{100.0 * float(shares['straddling_by_end']):.1f} % by their end",
+            f"{score.total} chunks inside one section "
+            f"({100.0 * score.correct / max(score.total, 1):.1f} %; the "
+            f"paper has {100.0 * PAPER_ACCURACY:.1f} %). Not among these: {score.straddling} over "
+            f"a boundary ({100.0 * float(shares['straddling_by_start']):.1f} % right by their "
+            f"start, {100.0 * float(shares['straddling_by_end']):.1f} % by their end), "
+            f"{score.repeats} at a verbatim repeat with another policy, {len(score.silent)} silent",
             highlight=False,
             soft_wrap=True,
         )
-        if score.wrong:
-            some = "; ".join(score.wrong[:5])
-            console.print(f"wrong, {name}: {some}", highlight=False, soft_wrap=True)
+        for what, chunks in (("wrong", score.wrong), ("silent", score.silent)):
+            if chunks:
+                text = f"{what}, {name}: {some(chunks, MOST_WRONG)}"
+                more = " (--json has all)" if len(chunks) > MOST_WRONG else ""
+                console.print(text + more, highlight=False, soft_wrap=True)
 
 
 def _print_streams(console: Console, report: ChunkReport) -> None:
@@ -186,13 +238,14 @@ def _print_streams(console: Console, report: ChunkReport) -> None:
         console.print(
             f"listener, {name}, clips of 10 s: right at the end {100.0 * shares['right']:.1f} % of "
             f"{score.n} ({100.0 * shares['held']:.1f} % with those in doubt just then), "
-            f"wrong {100.0 * shares['wrong']:.1f} %; first lock p50 {lock['p50']:g} s, "
-            f"p95 {lock['p95']:g} s",
+            f"wrong {100.0 * shares['wrong']:.1f} %; first lock p50 {_figure(lock['p50'], ' s')}, "
+            f"p95 {_figure(lock['p95'], ' s')}",
             highlight=False,
             soft_wrap=True,
         )
     if report.cost.heard_s:
         console.print(f"listener: {100.0 * report.cost.share:.1f} % of a core", highlight=False)
     for name, (seconds, locks) in report.false_locks.items():
-        said = f"false locks in {seconds / 60.0:.0f} min of {name}: {len(locks)}"
-        console.print("; ".join([said, *locks[:5]]), highlight=False, soft_wrap=True)
+        said = f"false locks in {seconds / 60.0:g} min of {name}: {len(locks)}"
+        line = f"{said}; {some(locks, MOST_WRONG)}" if locks else said
+        console.print(line, highlight=False, soft_wrap=True)

@@ -63,16 +63,26 @@ class StreamScore:
     lock_s: list[float] = field(default_factory=list)
 
     def shares(self) -> dict[str, Any]:
-        """Return shares, and quantiles of the time to the first lock."""
-        p50, p95 = np.percentile(self.lock_s or [np.nan], (50, 95))
+        """Return shares, and quantiles of the time to the first lock; None: no lock so often."""
+        waits = np.sort(self.lock_s)
+        p50, p95 = (_quantile(waits, share) for share in (0.5, 0.95))
         count = max(self.n, 1)
         return {
             "n": self.n,
             "right": round(self.right / count, 4),
             "held": round(self.held / count, 4),
             "wrong": round(self.wrong / count, 4),
-            "first_lock_s": {"p50": round(float(p50), 2), "p95": round(float(p95), 2)},
+            "first_lock_s": {"p50": p50, "p95": p95},
         }
+
+
+def _quantile(waits: np.ndarray, share: float) -> float | None:
+    """Return a quantile of sorted times, (n,); None where one that it needs is infinite."""
+    needed = waits[: int(np.ceil(share * (len(waits) - 1))) + 1]
+    if len(needed) == 0 or not np.isfinite(needed[-1]):
+        return None
+    finite = np.where(np.isfinite(waits), waits, needed[-1])
+    return round(float(np.quantile(finite, share)), 2)
 
 
 def clips(
@@ -122,7 +132,37 @@ def judge_end(last: Heard, start_s: float, clip: Recording, judge: Judge) -> boo
     return judge(query, place, ConditionScore())
 
 
-def foreign_stream(sounds: Sequence[Recording], seconds: float, seed: int) -> Recording:
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One sound in a foreign stream.
+
+    Attributes:
+        start_s: Where it begins in the stream [s].
+        name: Of the sound.
+        from_s: Where in the sound it begins [s].
+        factor: How much faster it is played.
+    """
+
+    start_s: float
+    name: str
+    from_s: float
+    factor: float
+
+
+@dataclass(frozen=True)
+class ForeignStream:
+    """Sound on which nobody may lock, and what it is made of, in order."""
+
+    sound: Recording
+    parts: Sequence[Part]
+
+    def playing(self, at_s: float) -> str:
+        """Say what plays at a second of the stream: "NAME at SECOND", both of the sound's own."""
+        part = next(p for p in reversed(self.parts) if p.start_s <= at_s or p is self.parts[0])
+        return f"{part.name} at {part.from_s + (at_s - part.start_s) * part.factor:.1f} s"
+
+
+def foreign_stream(sounds: Sequence[Recording], seconds: float, seed: int) -> ForeignStream:
     """Return parts of sounds in any order, each faster or slower, in noise or in a room.
 
     Args:
@@ -132,33 +172,39 @@ def foreign_stream(sounds: Sequence[Recording], seconds: float, seed: int) -> Re
     """
     rng = np.random.default_rng(seed)
     rate = sounds[0].sample_rate_hz
-    parts: list[F32] = []
-    left = round(seconds * rate)
-    while left > 0:
-        sound = sounds[int(rng.integers(len(sounds)))].samples
-        count = min(round(float(rng.uniform(*PART_S)) * rate), len(sound))
-        first = int(rng.integers(len(sound) - count + 1))
-        part = speed(float(rng.uniform(0.85, 1.2)))(sound[first : first + count], rate, rng)
+    made: list[F32] = []
+    parts: list[Part] = []
+    done, wanted = 0, round(seconds * rate)
+    while done < wanted:
+        source = sounds[int(rng.integers(len(sounds)))]
+        count = min(round(float(rng.uniform(*PART_S)) * rate), len(source.samples))
+        first = int(rng.integers(len(source.samples) - count + 1))
+        factor = float(rng.uniform(0.85, 1.2))
+        part = speed(factor)(source.samples[first : first + count], rate, rng)
         what = int(rng.integers(3))
         if what == 1:
             part = pink(float(rng.uniform(5.0, 20.0)))(part, rate, rng)
         elif what == 2:
             part = reverb(float(rng.uniform(0.2, 1.0)), 0.0)(part, rate, rng)
         part = part * np.float32(LEVEL / max(float(np.sqrt(np.mean(part**2))), 1e-4))
-        parts.append(part[:left])
-        left -= len(parts[-1])
-    return Recording("foreign", np.concatenate(parts), rate)
+        made.append(part[: wanted - done])
+        parts.append(Part(done / rate, source.name, first / rate, factor))
+        done += len(made[-1])
+    return ForeignStream(Recording("foreign", np.concatenate(made), rate), parts)
 
 
-def count_locks(matcher: AlignmentMatcher, sound: Recording, cost: Cost) -> list[str]:
-    """Return every lock that the listener takes on a recording, as text."""
-    heard, spent_s = listen(matcher, sound)
-    cost.add(spent_s, sound)
+def count_locks(matcher: AlignmentMatcher, stream: ForeignStream, cost: Cost) -> list[str]:
+    """Return every lock that the listener takes on a stream, as text: what played, taken for what.
+
+    What was heard before counts as well: a lock early in a part may be owed to the one before.
+    """
+    heard, spent_s = listen(matcher, stream.sound)
+    cost.add(spent_s, stream.sound)
     locks = []
     before = ""
     for hop in heard:
         now = hop.track if hop.lock == music_match_t.LOCKED else ""
         if now not in ("", before):
-            locks.append(f"{sound.name} at {hop.time_s:.1f} s taken for {now}")
+            locks.append(f"{stream.playing(hop.time_s)} taken for {now}")
         before = now
     return locks

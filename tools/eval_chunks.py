@@ -9,11 +9,8 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
-
-from rich.progress import track as progress
 
 from downbeat.catalog.tracks import BUNDLED_TRACKS, Track, load_tracks
 from downbeat.perception import features as ft
@@ -37,6 +34,7 @@ from downbeat.tools.chunks_make import (
     foreign_queries,
     recombined,
 )
+from downbeat.tools.chunks_options import PAPER_CONDITIONS, ChunkOptions, check_groups
 from downbeat.tools.chunks_paper import (
     PaperScore,
     paper_shifts,
@@ -64,45 +62,12 @@ from downbeat.tools.chunks_stream import (
     hear_clip,
 )
 from downbeat.tools.composer.store import composed_recording
-from downbeat.tools.conditions import degradations
-from downbeat.tools.errors import ToolError
+from downbeat.tools.console import say, tenths
 from downbeat.tools.matcher_sounds import make_babble, synthetic_sounds
 from downbeat.tools.passages import find_passages
 from downbeat.tools.rundir import CACHE_DIR
 
 COMPOSED = CACHE_DIR / "tracks"
-PAPER_CONDITIONS = ("clean", "robot")
-
-
-@dataclass(frozen=True)
-class ChunkOptions:
-    """What to evaluate.
-
-    Attributes:
-        tracks: Folder of recordings; None: the bundled pieces, with their own timed rules.
-        speech: Folder of voices, for babble and as strangers.
-        other: Folder of other sounds, strangers.
-        groups: Tab-separated file (track, group): same composer or same sample bank.
-        per_shift: Clean chunks per track and shift.
-        per_condition: Chunks per track and condition.
-        seed: Of all noise.
-        only: Conditions; empty: all.
-        is_paper: The paper's experiment instead: policies by section.
-        clips: Clips of 10 s per track for the listener itself; 0: none.
-        foreign_s: Foreign music, and as much speech and noise, for the listener [s].
-    """
-
-    tracks: Path | None = None
-    speech: Path | None = None
-    other: Path | None = None
-    groups: Path | None = None
-    per_shift: int = 6
-    per_condition: int = 6
-    seed: int = 7
-    only: tuple[str, ...] = ()
-    is_paper: bool = False
-    clips: int = 0
-    foreign_s: float = 0.0
 
 
 class ChunkStudy:
@@ -115,6 +80,7 @@ class ChunkStudy:
             ToolError: Fewer than two tracks, an unknown condition, a bad group file.
             PerceptionError: A folder without recordings.
         """
+        options.check()
         self.options = options
         self.rules: dict[str, Track] = {}
         if options.tracks is None:
@@ -124,23 +90,18 @@ class ChunkStudy:
         else:
             self.recordings = read_tracks(options.tracks)
         self.groups = read_groups(options.groups)
+        if options.groups is not None:
+            check_groups(self.groups, self.recordings, options.groups)
         self.voices = read_folder(options.speech)
         self.others = read_folder(options.other)
         babble = None
         if self.voices:
             babble = make_babble([v.samples for v in self.voices], 30.0, RATE_HZ)
-        self.degradations = degradations(babble)
-        names = [d.name for d in self.degradations]
-        if unknown := [name for name in options.only if name not in names]:
-            voices = "" if self.voices else " (babble and robot need voices: --speech)"
-            raise ToolError(
-                f"Condition {unknown[0]!r} does not exist; valid are {', '.join(names)}{voices}."
-            )
-        if options.only:
-            self.degradations = [d for d in self.degradations if d.name in options.only]
-        self.report = ChunkReport(catalogue=len(self.recordings))
+        self.degradations = options.degradations(babble)
+        self.report = ChunkReport(catalogue=len(self.recordings), has_groups=bool(self.groups))
         begin = time.process_time()
-        self.index = make_index(self.recordings.values())
+        self.index = make_index(tenths(list(self.recordings.values()), "indexed"))
+        say("looking for passages that two of them share")
         self.index.shared = find_passages(self.index)
         self.report.index_s = time.process_time() - begin
         self.report.index_bytes = sum(fine.nbytes for fine in self.index.fine)
@@ -152,20 +113,20 @@ class ChunkStudy:
             }
         )
 
-    def run(self, is_quiet: bool) -> ChunkReport:
+    def run(self) -> ChunkReport:
         """Ask everything."""
         whole = AlignmentMatcher(self.index)
         if self.options.is_paper:
-            self._paper(is_quiet)
+            self._paper()
             return self.report
-        self._streams(whole, is_quiet)
-        for name in progress(list(self.recordings), "known", disable=is_quiet, transient=True):
+        self._streams(whole)
+        for name in tenths(list(self.recordings), "asked for what is known"):
             for query in self._queries(self.recordings[name], self.degradations):
                 self._known(whole, query)
-        rest = progress(list(self.recordings), "unknown", disable=is_quiet, transient=True)
-        for number, name in enumerate(rest):
+        for number, name in enumerate(tenths(list(self.recordings), "asked for what is not")):
             self._unknown(number, self.recordings[name])
-        for query in foreign_queries([*self.voices, *self.others], self.options.per_shift):
+        sounds = [*self.voices, *self.others]
+        for query in foreign_queries(sounds, self.options.per_shift):
             self._refuse([NO_MUSIC], whole, query)
         return self.report
 
@@ -186,7 +147,7 @@ class ChunkStudy:
 
     def _known(self, matcher: AlignmentMatcher, query: Query) -> None:
         if query.is_silent:
-            self._refuse([SILENT], matcher, query)
+            self._refuse([SILENT], matcher, query, self.groups.get(query.track))
             return
         conditions = self.report.conditions
         result = self._ask(matcher, query.samples, is_timed=True)
@@ -205,12 +166,12 @@ class ChunkStudy:
         )
         negative = [d for d in self.degradations if d.is_negative_too]
         for query in self._queries(recording, negative):
-            self._refuse([MUSIC, KIN] if has_kin else [MUSIC], matcher, query)
+            self._refuse([MUSIC, KIN] if has_kin else [MUSIC], matcher, query, group)
         for music in recombined(recording, self.options.seed):
             for query in clean_queries(music, self.options.per_shift):
-                self._refuse([RECOMBINED], matcher, query)
+                self._refuse([RECOMBINED], matcher, query, group)
 
-    def _paper(self, is_quiet: bool) -> None:
+    def _paper(self) -> None:
         """Run the paper's experiment: its tracks alone are the catalogue."""
         if self.rules:
             names, policy = list(self.recordings), policies_by_rule(self.rules)
@@ -221,21 +182,24 @@ class ChunkStudy:
         wanted = [d for d in self.degradations if d.name in PAPER_CONDITIONS]
         shifts_s = paper_shifts([self.recordings[name] for name in names])
         self.report.paper_shifts = len(shifts_s)
-        for name in progress(names, "paper", disable=is_quiet, transient=True):
+        for name in tenths(names, "paper"):
             for degradation in wanted:
                 score = self.report.paper.setdefault(degradation.name, PaperScore())
                 seed = self.options.seed
                 for query in all_queries(self.recordings[name], degradation, seed, shifts_s):
+                    if query.is_silent:
+                        score.leave_out(query)
+                        continue
                     is_timed = degradation.name == "clean"
                     result = self._ask(matcher, query.samples, is_timed)
                     score.add(query, result, policy, self.places.is_same_sound)
 
-    def _streams(self, matcher: AlignmentMatcher, is_quiet: bool) -> None:
+    def _streams(self, matcher: AlignmentMatcher) -> None:
         """Let the listener hear clips, and what it must not lock on."""
         options, report = self.options, self.report
         wanted = [d for d in self.degradations if d.name in PAPER_CONDITIONS]
         names = list(self.recordings) if options.clips else []
-        for name in progress(names, "clips", disable=is_quiet, transient=True):
+        for name in tenths(names, "clips heard"):
             for degradation in wanted:
                 score = report.streams.setdefault(degradation.name, StreamScore())
                 made = clips(self.recordings[name], degradation, options.clips, options.seed)
@@ -244,24 +208,29 @@ class ChunkStudy:
         if not options.foreign_s:
             return
         share_s = options.foreign_s / len(self.recordings)
-        turns = enumerate(self.recordings.items())
         locks: list[str] = []
-        for number, (name, recording) in turns:
+        for number, name in enumerate(tenths(list(self.recordings), "foreign music heard")):
             rest = [i for i in range(len(self.index.names)) if i != number]
-            sound = foreign_stream([recording], share_s, options.seed + number)
-            stream = Recording(name, sound.samples, sound.sample_rate_hz)
+            seed = options.seed + number
+            stream = foreign_stream([self.recordings[name]], share_s, seed)
             locks += count_locks(AlignmentMatcher(self.index.subset(rest)), stream, report.cost)
         report.false_locks[MUSIC] = (options.foreign_s, locks)
+        say(f"hearing {options.foreign_s / 60.0:g} min of {NO_MUSIC}")
         sounds = [*self.voices, *self.others, *synthetic_sounds(10.0)]
         stream = foreign_stream(sounds, options.foreign_s, options.seed)
         locks = count_locks(matcher, stream, report.cost)
         report.false_locks[NO_MUSIC] = (options.foreign_s, locks)
 
-    def _refuse(self, classes: Sequence[str], matcher: AlignmentMatcher, query: Query) -> None:
+    def _refuse(
+        self,
+        classes: Sequence[str],
+        matcher: AlignmentMatcher,
+        query: Query,
+        group: str | None = None,
+    ) -> None:
         for suffix, seconds in (("", CHUNK_S), (SHORT, SHORT_S)):
             result = self._ask(matcher, query.samples[: round(seconds * RATE_HZ)])
             is_same = result.accepted and self.places.is_same_sound(query, result)
-            group = self.groups.get(query.track.split(", ")[0])  # "NAME, shuffled"
             is_kin = group is not None and self.groups.get(result.track) == group
             for name in classes:
                 part = self.report.refused.setdefault(name + suffix, FalseAccepts())
@@ -270,7 +239,7 @@ class ChunkStudy:
 
 def eval_chunks(options: ChunkOptions, as_json: bool) -> int:
     """Run the study and print it; 0."""
-    report = ChunkStudy(options).run(is_quiet=as_json)
+    report = ChunkStudy(options).run()
     if as_json:
         print(json.dumps(report.as_json()))
     else:

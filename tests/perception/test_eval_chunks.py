@@ -11,13 +11,16 @@ from synthetic_music import RATE, make_music
 from downbeat.perception import features as ft
 from downbeat.perception.matcher import MatchResult
 from downbeat.perception.source import Recording
+from downbeat.tools import chunks_paper
 from downbeat.tools.catalog_tools import build, match
 from downbeat.tools.chunks_make import CHUNK_S, SHIFTS_S, Query, starts
 from downbeat.tools.chunks_paper import CHUNKS, PaperScore, paper_shifts, policies_by_length
+from downbeat.tools.chunks_report import KIN, LABELS, SHORT, ChunkReport, print_report
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
+from downbeat.tools.chunks_stream import StreamScore, foreign_stream
 from downbeat.tools.conditions import degradations
 from downbeat.tools.errors import ToolError
-from downbeat.tools.eval_chunks import ChunkOptions, ChunkStudy
+from downbeat.tools.eval_chunks import ChunkOptions, ChunkStudy, eval_chunks
 from downbeat.tools.matcher_sounds import make_babble
 
 
@@ -77,7 +80,7 @@ def test_chunks_lie_inside_the_track_at_the_five_shifts():
 def test_every_clean_chunk_of_known_music_is_found_and_no_stranger(folder):
     only = ("clean", "white10", "robot")
     options = ChunkOptions(folder / "music", folder / "speech", None, None, 4, 1, only=only)
-    report = ChunkStudy(options).run(is_quiet=True)
+    report = ChunkStudy(options).run()
     contract = json.loads(json.dumps(report.as_json()))
     assert contract["chunks"]["total"] == contract["chunks"]["correct"] == 3 * 5 * 4
     assert contract["conditions"]["white10"]["accepted"] == 1.0
@@ -135,6 +138,12 @@ def test_policies_are_judged_by_section_and_chunks_over_a_boundary_apart():
 def test_an_unknown_condition_and_a_bad_group_file_are_named(folder, tmp_path):
     with pytest.raises(ToolError, match="'fog' does not exist; valid are clean"):
         ChunkStudy(ChunkOptions(folder / "music", only=("fog",)))
+    with pytest.raises(ToolError, match=r"'robot' is made of voices; .*\(--speech FOLDER\)"):
+        ChunkStudy(ChunkOptions(folder / "music", only=("robot",)))
+    with pytest.raises(ToolError, match="made in clean and robot, and --only names white5"):
+        ChunkStudy(ChunkOptions(folder / "music", only=("white5",), is_paper=True))
+    with pytest.raises(ToolError, match="--per-shift is below 0"):
+        ChunkStudy(ChunkOptions(folder / "music", per_shift=-1))
     groups = tmp_path / "groups.tsv"
     groups.write_text("a\tb\nc\n", encoding="utf-8")
     with pytest.raises(ToolError, match=r"groups.tsv:2 has 1 columns"):
@@ -186,7 +195,7 @@ def test_the_identical_recording_under_another_name_is_counted_apart():
 
 @pytest.mark.parametrize(("seconds", "shifts"), [(75.0, 20), (150.0, 5)])
 def test_short_pieces_are_asked_at_more_shifts_until_there_are_as_many_chunks(seconds, shifts):
-    pieces = [Recording(f"{k}", np.zeros(round(seconds * 100), np.float32), 100) for k in range(4)]
+    pieces = [Recording(f"{k}", np.ones(round(seconds * 100), np.float32), 100) for k in range(4)]
     chosen = paper_shifts(pieces)
     assert len(chosen) == shifts and set(SHIFTS_S) <= set(chosen)
     assert sum(len(starts(p.duration_s, 10_000, s)) for p in pieces for s in chosen) >= CHUNKS
@@ -210,3 +219,127 @@ def test_a_folder_with_one_useful_recording_is_refused_in_a_sentence(folder, tmp
     (tmp_path / "piece.wav").symlink_to(folder / "music" / "piece0.wav")
     with pytest.raises(ToolError, match="holds 1 recording that can be indexed; valid are two"):
         ChunkStudy(ChunkOptions(tracks=tmp_path))
+
+
+def test_names_of_groups_that_match_no_recording_are_counted_or_refused(folder, tmp_path, capsys):
+    groups = tmp_path / "groups.tsv"
+    groups.write_text("piece0\tx\npiece1\tx\npeace2\ty\n", encoding="utf-8")
+    study = ChunkStudy(ChunkOptions(folder / "music", groups=groups))
+    assert study.groups["piece1"] == "x"
+    said = capsys.readouterr().err
+    assert "1 of 3 names match no recording: peace2" in said
+    assert "1 of 3 recordings are in no group: piece2" in said
+    groups.write_text("peace2\ty\n", encoding="utf-8")
+    with pytest.raises(ToolError, match="names none of the 3 recordings .*'peace2'.*'piece0'"):
+        ChunkStudy(ChunkOptions(folder / "music", groups=groups))
+
+
+@pytest.fixture
+def short_experiment(monkeypatch, tmp_path):
+    """A folder of two pieces that end and begin in silence; the experiment needs no more."""
+    for name, value in (("TRACKS", 2), ("CHUNKS", 24)):
+        monkeypatch.setattr(chunks_paper, name, value)
+    pause = np.zeros(round(11.2 * RATE), np.float32)
+    soundfile.write(tmp_path / "ends.wav", np.concatenate([make_music(3, 24.0), pause]), RATE)
+    soundfile.write(tmp_path / "begins.wav", np.concatenate([pause, make_music(4, 24.0)]), RATE)
+    return tmp_path
+
+
+def test_the_papers_experiment_asks_nothing_of_silence_and_says_so(short_experiment, capsys):
+    options = ChunkOptions(short_experiment, is_paper=True)
+    report = ChunkStudy(options).run()
+    score = report.paper["clean"]
+    assert score.total - score.correct <= 1  # one holds 0.3 s of sound, and is asked
+    assert all("begins at 6.5 s" in wrong for wrong in score.wrong)
+    grid = [s for shift_s in SHIFTS_S for s in starts(35.2, 100, shift_s)]
+    silent = sum(s + CHUNK_S <= 11.2 for s in grid) + sum(s >= 24.0 for s in grid)
+    assert len(score.silent) == silent > 5
+    assert "begins at 0 s" in score.silent and "ends at 25 s" in score.silent
+    assert score.total + score.straddling + score.repeats + silent == 2 * len(grid)
+    contract = report.as_json()
+    assert contract["chunks"] == {"total": score.total, "correct": score.correct}
+    assert contract["paper"]["clean"]["silent"] == silent
+    print_report(report)
+    said = capsys.readouterr().out
+    assert f"of {score.total} chunks inside one section" in said
+    assert f"{silent} silent" in said and f"and {silent - 5} more (--json has all)" in said
+
+
+def test_wrong_chunks_of_the_experiment_are_named_and_how_many_more_there_are(capsys):
+    policy, score = policies_by_length(["a", "b"]), PaperScore()
+    nothing = np.zeros(1, np.float32)
+    answers = [
+        MatchResult(),
+        MatchResult("a", 5.0),
+        *[MatchResult("b", 5.0, accepted=True)] * 5,
+    ]
+    for answer in answers:
+        query = Query("clean", "a", 5.0, 0.0, nothing, False)
+        score.add(query, answer, policy, lambda _query, _result: False)
+    print_report(ChunkReport(paper={"clean": score}))
+    said = capsys.readouterr().out
+    assert "a at 5 s: nothing found; a at 5 s: not accepted (best is a at 5.0 s)" in said
+    assert "taken for b at 5.0 s; and 2 more (--json has all)" in said
+    assert len(score.shares()["wrong"]) == 7
+
+
+def test_the_tables_fit_into_80_columns_and_unknown_kin_is_no_figure(capsys):
+    report = ChunkReport(query_ms=[1.0])
+    for name in ("band300_3400", "clean"):
+        for suffix in ("", SHORT):
+            report.conditions[name + suffix] = ConditionScore(12_345, 12_345, 12_345, 12_345)
+    for name in LABELS:
+        report.refused[name] = FalseAccepts(12_345, 12_345, ["one"] * 9)
+        report.refused[name + SHORT] = FalseAccepts(12_345, 0)
+    print_report(report)
+    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    for label in ("band300_3400", *LABELS.values(), LABELS[KIN] + SHORT, "all, 3 s"):
+        (row,) = [line.split() for line in lines if line.strip().startswith(f"{label}   ")]
+        assert len(row) >= 7 and "\u2026" not in "".join(row)
+    assert max(len(line) for line in lines if line.startswith((" ", "\u2500"))) <= 80
+    cells = next(line.split() for line in lines if line.strip().startswith("silence   "))
+    assert cells == ["silence", "12345", "12345", "100.00", "100.00", "-", "0"]
+    assert " ".join(lines).count("--groups") == 1
+    assert any(line.startswith("accepted, silence: one; ") and "4 more" in line for line in lines)
+    assert report.as_json()["false_accepts"]["taken_for_kin"] is None
+    report.has_groups = True
+    assert report.as_json()["false_accepts"]["taken_for_kin"] == 0
+
+
+def test_what_nobody_asked_for_has_no_figure(folder, capsys):
+    options = ChunkOptions(folder / "music", per_shift=0, per_condition=0)
+    eval_chunks(options, as_json=False)
+    said = capsys.readouterr()
+    assert "nan" not in said.out
+    assert "query p50 -, p99 -; place p50 -, p99 -" in " ".join(said.out.split())
+    assert "indexed: 3 of 3" in said.err and "asked for what is known: 1 of 3" in said.err
+    eval_chunks(options, as_json=True)
+    (line,) = capsys.readouterr().out.splitlines()
+    answer = json.loads(line, parse_constant=lambda text: pytest.fail(f"{text} is no JSON"))
+    assert answer["query_ms"] == {"p50": None, "p99": None}
+
+
+def test_clips_without_a_lock_have_no_time_to_it():
+    score = StreamScore(n=4, lock_s=[1.0, float("inf"), 2.0, float("inf")])
+    assert score.shares()["first_lock_s"] == {"p50": None, "p95": None}
+    score = StreamScore(n=3, lock_s=[1.0, float("inf"), 2.0])
+    assert score.shares()["first_lock_s"] == {"p50": 2.0, "p95": None}
+
+
+def test_a_false_lock_names_the_sound_and_its_second():
+    """Each sound is a ramp, so that a sample tells where it comes from."""
+    rate = 8_000
+    ramps = [
+        Recording(name, first + np.arange(20 * rate, dtype=np.float32) / rate, rate)
+        for name, first in (("dog", 100.0), ("bell", 200.0))
+    ]
+    stream = foreign_stream(ramps, 40.0, seed=3)
+    assert len(stream.sound.samples) == 40 * rate and len(stream.parts) >= 3
+    assert {part.name for part in stream.parts} == {"dog", "bell"}
+    ends = [*[part.start_s for part in stream.parts[1:]], 40.0]
+    for part, end_s in zip(stream.parts, ends, strict=True):
+        late_s = 0.75 * (end_s - part.start_s)
+        name, at_s = stream.playing(part.start_s + late_s).removesuffix(" s").split(" at ")
+        assert name == part.name
+        assert float(at_s) == pytest.approx(part.from_s + late_s * part.factor, abs=0.06)
+        assert part.from_s + (end_s - part.start_s) * part.factor <= 20.01
