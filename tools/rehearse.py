@@ -26,13 +26,14 @@ from downbeat.sim.batch.native import NativeEngine
 from downbeat.sim.batch.outcome import Outcome, join_outcomes
 from downbeat.sim.batch.perturb import BLOCK, draw_block, load_profile
 from downbeat.sim.batch.states import visit
+from downbeat.tools.console import say
 from downbeat.tools.errors import ToolError
+from downbeat.tools.rehearse_files import ShowFiles
 from downbeat.tools.rehearse_rows import AMBER, GREEN, RED, Row, print_rows, waits
 from downbeat.tools.show import (
     Show,
     load_show,
     show_atlas,
-    show_hearing,
     show_skills,
     show_speech,
     show_tracks,
@@ -47,13 +48,20 @@ ALTERNATIVE_BEATS = 8
 
 
 def run_rehearse(path: Path, rollouts: int, as_json: bool) -> int:
-    """Rehearse a show; 0 if every change is proven, straight or through stand.
+    """Rehearse a show; 0 if every change is proven, straight or through stand, 1 if one is not.
+
+    Nothing is simulated where the show names what is not there: each such fault is said, and 2
+    returned.
 
     Raises:
-        ToolError: There is no atlas, or the show is wrong.
+        ToolError: There is no atlas.
+        DownbeatError: show.toml itself is wrong.
     """
     show = load_show(path)
-    show_hearing(show)  # what it names wrongly would stop the show as well
+    if faults := ShowFiles(show, path).faults():
+        for sentence in faults:
+            say(f"downbeat: {sentence}")
+        return 2
     speech = show_speech(show)
     atlas = show_atlas(show)
     if atlas is None:

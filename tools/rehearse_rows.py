@@ -22,7 +22,7 @@ class Row:
         state: "direct": proven straight away; "via_stand": proven through stand; "red": neither.
         plan: What control would do.
         bound: 95 % upper bound of the atlas on the share that falls.
-        rollouts: Simulated now, from this very phase.
+        rollouts: Simulated, now and from this very phase; for a change at any time, by the sweep.
         fallen: Of these.
         advice: Why not, and the nearest proven alternative.
         asked_by: "music" or "speech".
@@ -43,6 +43,7 @@ class Row:
 
 
 MARKS = {GREEN: "[green]✔[/]", AMBER: "[yellow]via stand[/]", RED: "[bold red]✘[/]"}
+TITLES = {AMBER: "through stand", RED: "not proven"}
 WORST_FIRST = (RED, AMBER, GREEN)
 SHORTEST_WAIT_S = 0.05
 """Nobody notices less."""
@@ -56,7 +57,7 @@ def waits(wait_s: float) -> str:
 def print_rows(rows: Sequence[Row]) -> None:
     """Print the list for people; what speech may ask for is one line per skill."""
     table = Table(box=None, pad_edge=False)
-    for title in ("at", "from", "to", "plan", "falls, at most", "simulated now", "", "remark"):
+    for title in ("at", "from", "to", "plan", "falls, at most", "simulated", "", "remark"):
         table.add_column(title)
     for row in rows:
         if row.asked_by == "music":
@@ -74,6 +75,28 @@ def print_rows(rows: Sequence[Row]) -> None:
         f"{counts[GREEN]} direct, {counts[AMBER]} through stand, {counts[RED]} not proven "
         f"of {len(rows)} changes{by_speech}"
     )
+    for line in indirect(rows):
+        console.print(line, soft_wrap=True, highlight=False)
+
+
+def indirect(rows: Iterable[Row]) -> list[str]:
+    """Return which changes that may come at any time are not direct, a line per reason.
+
+    Among hundreds of rows nobody finds them; those of a set list stand in the show's order, and
+    those by speech are a line per skill already.
+    """
+    groups: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for row in rows:
+        if row.show_s is None and row.asked_by == "music" and row.state != GREEN:
+            groups.setdefault((row.state, row.advice), {}).setdefault(row.source, []).append(
+                row.target
+            )
+    lines = []
+    for state, why in sorted(groups, key=lambda group: WORST_FIRST.index(group[0])):
+        pairs = groups[state, why]
+        said = "; ".join(f"{source} to {', '.join(targets)}" for source, targets in pairs.items())
+        lines.append(f"{TITLES[state]} ({why}): {said}")
+    return lines
 
 
 def _at(row: Row) -> str:
