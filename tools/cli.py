@@ -1,10 +1,13 @@
 """`downbeat`: one entry point; every subcommand imports its own needs when it runs.
 
-Exit codes: 0 good, 1 the thing asked failed (a fall, a missed section), 2 wrong input.
+Exit codes: 0 good, 1 the thing asked failed (a fall, a missed section), 2 wrong input; 130 by
+Ctrl-C, 141 where nobody reads the output any more (`downbeat ... | head -1`), as of any Unix tool.
 """
 
 from __future__ import annotations
 
+import os
+import select
 import sys
 from typing import Annotated
 
@@ -56,8 +59,30 @@ Command = (
 )
 
 
+INTERRUPTED, NO_READER = 130, 141
+"""128 and the number of the signal, as a shell counts."""
+
+
 def main(argv: list[str] | None = None) -> int:
     """Parse, run, and turn wrong input into one sentence and exit code 2."""
+    try:
+        try:
+            return _run(argv)
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()  # what nobody can read must show here, not after the end
+    # A signal instead of an exception would end a process that moves a robot, for any socket.
+    except BrokenPipeError:
+        if not _drop_unread_output():
+            raise
+        return NO_READER
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # rich has dropped it already
+            return NO_READER
+        raise
+
+
+def _run(argv: list[str] | None) -> int:
     try:
         command = tyro.cli(
             Command,  # type: ignore[arg-type]
@@ -72,7 +97,22 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         print("downbeat: interrupted", file=sys.stderr)
-        return 130
+        return INTERRUPTED
+
+
+def _drop_unread_output() -> bool:
+    """Send output that nobody reads nowhere; returns whether there was such output."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    is_unread = False
+    for stream in (sys.stdout, sys.stderr):
+        number = stream.fileno()
+        poll = select.poll()
+        poll.register(number, select.POLLOUT)
+        if any(event & select.POLLERR for _, event in poll.poll(0)):
+            os.dup2(nowhere, number)
+            is_unread = True
+    os.close(nowhere)
+    return is_unread
 
 
 if __name__ == "__main__":

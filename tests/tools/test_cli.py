@@ -140,3 +140,36 @@ def test_whatever_is_started_from_the_tools_has_one_blas_thread_unless_told_othe
     for env, threads in ((bare, "1"), ({**bare, "OPENBLAS_NUM_THREADS": "3"}, "3")):
         run = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
         assert run.stdout.strip() == threads, run.stderr
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["--help"],
+        ["catalog", "show"],  # a table
+        ["policy", "inspect", "kpop"],
+        [*"eval chunks --json --per-shift 0 --per-condition 0 --tracks".split(), "FOLDER"],
+        ["catalog", "match", "--help"],
+    ],
+)
+def test_a_command_whose_output_nobody_reads_ends_quietly(argv, folder):
+    reader, writer = os.pipe()
+    os.close(reader)
+    argv = [str(folder) if word == "FOLDER" else word for word in argv]
+    command = [sys.executable, "-m", "downbeat.tools.cli", *argv]
+    with os.fdopen(writer, "w") as out:
+        done = subprocess.run(command, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+    assert "Broken" not in done.stderr and "Traceback" not in done.stderr
+    assert done.returncode == 141
+
+
+def test_a_pipe_that_breaks_elsewhere_is_no_unread_output(monkeypatch):
+    def fail(self):
+        raise BrokenPipeError("a service went away")
+
+    monkeypatch.setattr("downbeat.tools.commands.catalog.Show.run", fail)
+    with open(os.devnull, "w") as nowhere:
+        monkeypatch.setattr(sys, "stdout", nowhere)
+        monkeypatch.setattr(sys, "stderr", nowhere)
+        with pytest.raises(BrokenPipeError, match="service"):
+            main(["catalog", "show"])
