@@ -148,7 +148,7 @@ def test_whatever_is_started_from_the_tools_has_one_blas_thread_unless_told_othe
         ["--help"],
         ["catalog", "show"],  # a table
         ["policy", "inspect", "kpop"],
-        [*"eval chunks --json --per-shift 0 --per-condition 0 --tracks".split(), "FOLDER"],
+        ["eval", "chunks", "--json", "--per-shift=0", "--per-condition=0", "--tracks", "FOLDER"],
         ["catalog", "match", "--help"],
     ],
 )
