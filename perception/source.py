@@ -59,9 +59,12 @@ def load_recording(path: Path) -> Recording:
     """Decode a file to mono; of one that was cut off, what can be decoded, with a warning.
 
     Raises:
-        PerceptionError: It is missing, is no audio, is empty or holds non-finite samples.
+        PerceptionError: It is missing, a folder, no audio, damaged, empty or holds non-finite
+            samples.
     """
     valid = f"valid are {', '.join(AUDIO_SUFFIXES)}"
+    if path.is_dir():
+        raise PerceptionError(f"{path} is a folder, and one audio file is wanted; {valid}.")
     if not path.is_file():
         raise PerceptionError(f"Audio file {path} does not exist; {valid}.")
     try:
@@ -69,6 +72,11 @@ def load_recording(path: Path) -> Recording:
             rate, expected = int(file.samplerate), int(file.frames)
             samples, is_cut = _decode(file)
     except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:
+        if path.suffix.lower() in AUDIO_SUFFIXES:
+            why = "it is damaged, or not an audio file in spite of its name"
+            raise PerceptionError(
+                f"{path} cannot be read: {why}; {valid} that are whole."
+            ) from error
         raise PerceptionError(f"{path} is not an audio file that can be read; {valid}.") from error
     if len(samples) == 0 or rate < MIN_SAMPLE_RATE_HZ or not np.isfinite(samples).all():
         raise PerceptionError(

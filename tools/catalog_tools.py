@@ -113,13 +113,7 @@ def match(
     """
     recording = load_recording(audio)
     rate, length_s = recording.sample_rate_hz, recording.duration_s
-    shortest_s, longest_s = WINDOW_S
-    if not shortest_s <= seconds <= longest_s or not 0.0 <= at_s <= length_s - shortest_s:
-        raise ToolError(
-            f"A window of {seconds:g} s at {at_s:g} s does not fit {audio} ({length_s:.1f} s); "
-            f"valid are lengths of {shortest_s:g} to {longest_s:g} s that begin {shortest_s:g} s "
-            "or more before its end."
-        )
+    _check_window(audio, length_s, at_s, seconds)
     window = recording.samples[round(at_s * rate) : round((at_s + seconds) * rate)]
     if len(window) < round(seconds * rate):
         say(f"{audio} ends after {len(window) / rate:.1f} s of the window: it is asked with these.")
@@ -138,6 +132,31 @@ def match(
         f"runner-up {result.runner_up or '-'} {result.runner_up_confidence:.2f}"
     )
     return 0 if result.accepted else 1
+
+
+def _check_window(audio: Path, length_s: float, at_s: float, seconds: float) -> None:
+    """Refuse a window that a recording of this length does not have.
+
+    Raises:
+        ToolError: Its length is not possible, or hardly anything is left after its start.
+    """
+    shortest_s, longest_s = WINDOW_S
+    if not shortest_s <= seconds <= longest_s:
+        raise ToolError(
+            f"--seconds {seconds:g} is no length of a window; valid are {shortest_s:g} to "
+            f"{longest_s:g} s."
+        )
+    last_s = int((length_s - shortest_s) * 10.0) / 10.0  # never rounded up to what is refused
+    if length_s < shortest_s:
+        raise ToolError(
+            f"{audio} lasts {length_s:.2f} s; valid are recordings of {shortest_s:g} s or more."
+        )
+    if not 0.0 <= at_s <= length_s - shortest_s:
+        where = "beyond the end of" if at_s > length_s else "no start of a window in"
+        raise ToolError(
+            f"--at {at_s:g} s is {where} {audio}, which lasts {length_s:.1f} s; valid are 0 to "
+            f"{last_s:.1f} s."
+        )
 
 
 def _plain(value: object) -> object:

@@ -66,8 +66,13 @@ def test_missing_foreign_and_empty_files_are_one_sentence(tmp_path):
     with pytest.raises(PerceptionError, match=r"does not exist; valid are .wav"):
         load_recording(tmp_path / "none.wav")
     (tmp_path / "text.wav").write_text("not sound")
-    with pytest.raises(PerceptionError, match="not an audio file"):
+    with pytest.raises(PerceptionError, match=r"text.wav cannot be read: it is damaged, or not"):
         load_recording(tmp_path / "text.wav")
+    (tmp_path / "text.txt").write_text("not sound")
+    with pytest.raises(PerceptionError, match=r"text.txt is not an audio file .*; valid are .wav"):
+        load_recording(tmp_path / "text.txt")
+    with pytest.raises(PerceptionError, match=r"is a folder, and one audio file is wanted; valid"):
+        load_recording(tmp_path)
     soundfile.write(tmp_path / "empty.wav", np.zeros(0), 44_100)
     with pytest.raises(PerceptionError, match="no usable sound"):
         load_recording(tmp_path / "empty.wav")

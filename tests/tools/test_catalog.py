@@ -11,6 +11,7 @@ from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import Index
 from downbeat.perception.likeness_build import LIKENESS_NAME
 from downbeat.perception.likeness_store import LikenessTable
+from downbeat.runtime.errors import DownbeatError
 from downbeat.tools import catalog_build, catalog_tools
 from downbeat.tools.catalog_build import add_track, index_path, remove_track, update_catalog
 from downbeat.tools.duplicates import find_duplicates
@@ -193,9 +194,29 @@ def test_near_its_end_a_recording_is_asked_with_the_rest(audio, tmp_path, analys
     assert "ends after 3.0 s of the window" in said.err
     catalog_tools.match(out, clip, 11.0, 5.0, True, "alignment")
     assert "ends after 1.0 s" in capsys.readouterr().err
-    for at_s, seconds in ((11.5, 5.0), (30.0, 5.0), (-1.0, 5.0), (0.0, 0.5), (float("nan"), 5.0)):
-        with pytest.raises(ToolError, match=r"1 to 10 s that begin 1 s or more before its end"):
+    for at_s, seconds, said in (
+        (11.5, 5.0, "no start of a window in .*song2.wav, which lasts 12.0 s; valid are 0 to 11.0"),
+        (30.0, 5.0, "--at 30 s is beyond the end of .*song2.wav, which lasts 12.0 s; valid are 0"),
+        (-1.0, 5.0, "--at -1 s is no start"),
+        (float("nan"), 5.0, "--at nan s is no start"),
+        (0.0, 0.5, "--seconds 0.5 is no length of a window; valid are 1 to 10 s"),
+    ):
+        with pytest.raises(ToolError, match=said):
             catalog_tools.match(out, clip, at_s, seconds, True, "alignment")
+
+
+def test_a_match_of_a_folder_a_damaged_file_or_a_snippet_says_what_it_is(audio, tmp_path, analysed):
+    out = tmp_path / "out"
+    build(audio, out)
+    (tmp_path / "song.ogg").write_bytes(b"OggS" + bytes(2_000))
+    soundfile.write(tmp_path / "snip.wav", song(1)[: RATE // 2], RATE)
+    for path, said in (
+        (audio, "is a folder, and one audio file is wanted; valid are .wav"),
+        (tmp_path / "song.ogg", "cannot be read: it is damaged, or not an audio file in spite of"),
+        (tmp_path / "snip.wav", "lasts 0.50 s; valid are recordings of 1 s or more"),
+    ):
+        with pytest.raises(DownbeatError, match=said):
+            catalog_tools.match(out, path, 0.0, 5.0, True, "alignment")
 
 
 def test_what_tracks_sound_like_is_kept_up_to_date_beside_the_index(
