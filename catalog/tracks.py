@@ -7,7 +7,7 @@ does, `default_skill` does.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -225,15 +225,13 @@ def load_tracks(
     return tracks
 
 
+def unknown_skills(track: Track, known: Collection[str]) -> list[tuple[str, str]]:
+    """Return (skill, file:key) of everything that a track asks for and that is not known."""
+    asked = [(rule.skill, f"section[{n}].skill") for n, rule in enumerate(track.rules)]
+    asked.append((track.default_skill, "default_skill"))
+    return [(skill, f"{track.where}:{key}") for skill, key in asked if skill not in known]
+
+
 def _check_skills(track: Track, known: set[str]) -> None:
-    for number, rule in enumerate(track.rules):
-        if rule.skill not in known:
-            raise CatalogError(
-                f"Skill '{rule.skill}' is unknown; skills are {one_of(known)} "
-                f"({track.where}:section[{number}].skill)."
-            )
-    if track.default_skill not in known:
-        raise CatalogError(
-            f"Skill '{track.default_skill}' is unknown; skills are {one_of(known)} "
-            f"({track.where}:default_skill)."
-        )
+    for skill, where in unknown_skills(track, known):
+        raise CatalogError(f"Skill '{skill}' is unknown; skills are {one_of(known)} ({where}).")

@@ -22,7 +22,7 @@ from downbeat.perception.grounding_numbers import Parameters, parameters
 from downbeat.perception.grounding_rules import Clause, Form, clauses, is_address, plain
 from downbeat.perception.grounding_sounds import OTHER_NAMES, SoundsLike
 from downbeat.perception.grounding_talk import TALK
-from downbeat.perception.intent import Intent, IntentKind
+from downbeat.perception.intent import NOT_BY_VOICE, Intent, IntentKind
 from downbeat.policies.manifest_types import SkillManifest
 
 
@@ -57,8 +57,6 @@ class Thresholds:
     letters: float = 0.82
 
 
-NOT_BY_VOICE = frozenset({"talk"})
-"""Gestures of the robot's own speech: an answer brings them."""
 STAND = "stand"
 LETTERS_WEIGHT, LETTERS_FROM = 0.4, 0.7
 """Letters add to meaning what they are more alike than this: a misheard name has no meaning."""

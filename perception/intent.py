@@ -7,6 +7,9 @@ from enum import Enum
 
 from downbeat.perception.grounding_numbers import Parameters
 
+NOT_BY_VOICE = frozenset({"talk"})
+"""Gestures of the robot's own speech: an answer brings them."""
+
 
 class IntentKind(Enum):
     """What an utterance wants."""

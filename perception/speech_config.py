@@ -9,6 +9,7 @@ from typing import Literal
 
 from downbeat.perception.conversation import ChatConversation, Conversation, TableConversation
 from downbeat.perception.errors import PerceptionError
+from downbeat.perception.intent import NOT_BY_VOICE
 from downbeat.perception.recognisers import RecogniserConfig
 from downbeat.perception.segments import SegmentConfig
 from downbeat.perception.services import Service
@@ -94,10 +95,11 @@ class SpeechConfig:
     segments: SegmentConfig = field(default_factory=SegmentConfig)
 
     def check(self, known: Iterable[str]) -> None:
-        """Refuse skills that do not exist.
+        """Refuse skills that do not exist or that nobody can ask for.
 
         Raises:
-            PerceptionError: One of `skills`, or the gesture, is unknown.
+            PerceptionError: One of `skills`, or the gesture, is unknown, or one of `skills` is a
+                gesture of the robot's own speech.
         """
         names = sorted(known)
         gesture = (self.voice.gesture,) if self.voice.gesture else ()
@@ -107,6 +109,12 @@ class SpeechConfig:
                     f"Speech cannot trigger '{name}', which is unknown; skills are "
                     f"{one_of(names)} (speech.toml: skills, voice.gesture)."
                 )
+        if own := [name for name in self.skills if name in NOT_BY_VOICE]:
+            raise PerceptionError(
+                f"Speech cannot trigger '{own[0]}', which the robot does when it answers "
+                f"(voice.gesture); skills are {one_of(set(names) - NOT_BY_VOICE)} "
+                "(speech.toml: skills)."
+            )
 
 
 def make_conversation(

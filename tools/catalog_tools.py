@@ -11,11 +11,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from downbeat.catalog.tracks import BUNDLED_TRACKS, load_tracks
+from downbeat.catalog.tracks import BUNDLED_TRACKS, load_tracks, unknown_skills
 from downbeat.perception.constellation import ConstellationMatcher
 from downbeat.perception.index import Index
 from downbeat.perception.matcher import AlignmentMatcher, MusicMatcher
 from downbeat.perception.source import audio_files, load_recording
+from downbeat.policies.manifest import load_skills
+from downbeat.runtime.errors import one_of
 from downbeat.tools.catalog_build import (
     Changes,
     add_track,
@@ -163,15 +165,29 @@ def _plain(value: object) -> object:
     return round(float(value), 4) if isinstance(value, float) else value
 
 
-def show(catalog: Path | None, duplicates: Sequence[tuple[str, str]] = ()) -> int:
-    """Print tracks, their sections, and the passages that two share, without pairs of copies."""
+def show(
+    catalog: Path | None,
+    duplicates: Sequence[tuple[str, str]] = (),
+    imported: Path | None = None,
+) -> int:
+    """Print tracks, their sections, and the passages that two share, without pairs of copies.
+
+    Skills that no skill's folder has are named; those of `imported` count as well.
+    """
+    tracks = load_tracks(catalog or BUNDLED_TRACKS)
     table = Table("track", "tempo", "from", "to", "section", "skill")
-    for track in load_tracks(catalog or BUNDLED_TRACKS).values():
+    for track in tracks.values():
         tempo = f"{track.grid.tempo_bpm:.1f}"
         table.add_row(track.name, tempo, "", "", "elsewhere", track.default_skill)
         for rule in track.rules:
             table.add_row("", "", f"{rule.start_s:.2f}", f"{rule.end_s:.2f}", rule.name, rule.skill)
     Console().print(table)
+    known = {*load_skills(), *(load_skills(imported) if imported else ())}
+    unknown = [found for track in tracks.values() for found in unknown_skills(track, known)]
+    for skill, where in unknown:
+        print(f"Skill '{skill}' does not exist, so no show can play it ({where}).")
+    if unknown:
+        print(f"Skills are {one_of(known)}; more of your own: --imported FOLDER.")
     if catalog is not None and (catalog / INDEX_NAME).is_file():
         _say_shared(Index.load(catalog / INDEX_NAME), duplicates)
     return 0

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import Index
 from downbeat.perception.likeness_build import LIKENESS_NAME
 from downbeat.perception.likeness_store import LikenessTable
+from downbeat.policies.manifest import BUNDLED_SKILLS
 from downbeat.runtime.errors import DownbeatError
 from downbeat.tools import catalog_build, catalog_tools
 from downbeat.tools.catalog_build import add_track, index_path, remove_track, update_catalog
@@ -236,3 +238,29 @@ def test_what_tracks_sound_like_is_kept_up_to_date_beside_the_index(
     assert LikenessTable.load(out / LIKENESS_NAME).names == ["song1", "song2", "song9"]
     with pytest.raises(PerceptionError, match="clap"):
         catalog_tools.build(audio, out, 0, clap=tmp_path)
+
+
+def test_skills_that_do_not_exist_are_named_where_a_catalogue_is_shown(tmp_path, capsys):
+    (tmp_path / "song.toml").write_text(
+        'name = "song"\ncomposition = "song"\ndefault_skill = "moonwalk"\n'
+        '[[section]]\nstart_s = 0.0\nend_s = 5.0\nskill = "kpop"\n'
+        '[[section]]\nstart_s = 5.0\nend_s = 9.0\nskill = "kpopp"\n'
+    )
+    assert catalog_tools.show(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert (
+        f"'kpopp' does not exist, so no show can play it ({tmp_path}/song.toml:section[1]" in said
+    )
+    assert (
+        f"'moonwalk' does not exist, so no show can play it ({tmp_path}/song.toml:default" in said
+    )
+    assert "'kpop' does not" not in said and said.count("Skills are armwave, boxstep") == 1
+    own = tmp_path / "own" / "moonwalk"
+    shutil.copytree(BUNDLED_SKILLS / "stand", own)
+    manifest = (own / "manifest.toml").read_text()
+    (own / "manifest.toml").write_text(manifest.replace('name = "stand"', 'name = "moonwalk"', 1))
+    catalog_tools.show(tmp_path, imported=tmp_path / "own")
+    said = capsys.readouterr().out
+    assert "'kpopp' does not exist" in said and "'moonwalk' does not exist" not in said
+    catalog_tools.show(None)
+    assert "does not exist" not in capsys.readouterr().out

@@ -171,6 +171,7 @@ def test_a_long_line_is_cut_at_a_word():
     [
         ("speech", 'langauge = "en"\n', "speech.toml:langauge is not known"),
         ("speech", 'skills = ["kpopp"]\n', "Speech cannot trigger 'kpopp'"),
+        ("speech", 'skills = ["wave", "talk"]\n', "'talk', which the robot does when it answers"),
         ("hearing", '[conductor]\nunknown = "dans"\n', "hearing.toml:conductor.unknown is 'dans'"),
     ],
 )

@@ -92,16 +92,18 @@ class Match:
 
 @dataclass(frozen=True)
 class Show:
-    """Print the tracks of a catalogue with their sections and skills."""
+    """Print the tracks of a catalogue with their sections and skills, and skills that are none."""
 
     catalog: tyro.conf.Positional[Path | None] = None
     """Folder of track files; omitted: the bundled tracks."""
+    imported: Path | None = None
+    """Folder of further skills (downbeat policy import) that rules may name."""
 
     def run(self) -> int:
         """Print."""
         from downbeat.tools.catalog_tools import show
 
-        return show(self.catalog)
+        return show(self.catalog, imported=self.imported)
 
 
 @dataclass(frozen=True)
