@@ -37,8 +37,9 @@ LABELS = {
 REFUSED_HOW = (
     f"unknown music: {MUSIC}. of kin: {KIN}, or of its sound bank. shuffled, backwards: "
     f"{RECOMBINED}. no music: {NO_MUSIC}. kin: of the accepted, taken for a piece of the same "
-    "composer or sound bank. copies: accepted too, and not counted as wrong, as the track that it "
-    "was taken for holds the identical recording there (as for 'repeat')."
+    "composer or sound bank. copies (the same recording elsewhere): accepted too, and not counted "
+    "as wrong, as the track that it was taken for holds the identical recording there (as for "
+    "'repeat')."
 )
 NONE = "-"
 MOST_MISSED, MOST_WRONG = 4, 5

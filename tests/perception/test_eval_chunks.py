@@ -1,6 +1,7 @@
 """The chunk study on synthetic music: its truth is known, so its counting can be checked."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,15 +10,23 @@ from scipy.signal import fftconvolve
 from synthetic_music import RATE, make_music
 
 from downbeat.perception import features as ft
-from downbeat.perception.matcher import MatchResult
+from downbeat.perception.matcher import AlignmentMatcher, MatchResult
 from downbeat.perception.source import Recording
 from downbeat.tools import chunks_paper
 from downbeat.tools.catalog_tools import build, match
+from downbeat.tools.chunks_folder import make_index
 from downbeat.tools.chunks_make import CHUNK_S, SHIFTS_S, Query, starts
 from downbeat.tools.chunks_paper import CHUNKS, PaperScore, paper_shifts, policies_by_length
 from downbeat.tools.chunks_report import KIN, LABELS, SHORT, ChunkReport, print_report
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
-from downbeat.tools.chunks_stream import StreamScore, foreign_stream
+from downbeat.tools.chunks_stream import (
+    Cost,
+    ForeignStream,
+    Part,
+    StreamScore,
+    count_locks,
+    foreign_stream,
+)
 from downbeat.tools.conditions import degradations
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_chunks import ChunkOptions, ChunkStudy, eval_chunks
@@ -326,7 +335,18 @@ def test_clips_without_a_lock_have_no_time_to_it():
     assert score.shares()["first_lock_s"] == {"p50": 2.0, "p95": None}
 
 
-def test_a_false_lock_names_the_sound_and_its_second():
+def test_a_lock_on_a_foreign_stream_is_told_with_what_played():
+    music = [Recording(f"piece{seed}", make_music(seed, 24.0), RATE) for seed in range(2)]
+    heard = np.concatenate([np.zeros(3 * RATE, np.float32), music[1].samples[5 * RATE : 17 * RATE]])
+    parts = [Part(0.0, "pause", 0.0, 1.0), Part(3.0, "cover", 5.0, 1.0)]
+    stream = ForeignStream(Recording("foreign", heard, RATE), parts)
+    (lock,) = count_locks(AlignmentMatcher(make_index(music)), stream, Cost())
+    name, at_s, taken_for = re.fullmatch(r"(\w+) at ([\d.]+) s taken for (\w+)", lock).groups()
+    assert (name, taken_for) == ("cover", "piece1")
+    assert 5.5 < float(at_s) < 10.0
+
+
+def test_where_a_sound_of_a_foreign_stream_comes_from_is_known_to_the_second():
     """Each sound is a ramp, so that a sample tells where it comes from."""
     rate = 8_000
     ramps = [
