@@ -3,9 +3,10 @@
 Correlation asks only how alike two spectra are. But noise adds and takes nothing away: where the
 reference is loud and the query is not, the place is wrong however well the rest fits; where the
 query is loud and the reference is not, somebody talks. So each cell votes with the weight that its
-two levels have earned, and the query's own numbers (rival, chance, rate) join them. The weights
-are learned: logistic regression on windows of known and of unknown music
-(`python -m downbeat.tools.train_verdict`, docs/matcher.md).
+two levels have earned, and the query's own numbers (rival, chance, rate) join them. How much of
+the window agrees counts, too: a click is one witness, however alike two clicks are. The weights
+are learned: logistic regression on windows of known and of unknown music, of voices, tones and
+single sounds (`python -m downbeat.tools.train_verdict`, docs/matcher.md).
 """
 
 from __future__ import annotations
@@ -27,26 +28,29 @@ from downbeat.perception.index import QUANTUM, Fine
 F64 = npt.NDArray[np.float64]
 
 WEIGHTS = Path(__file__).parent / "data" / "verdict.npz"
-FORMAT = 1
+FORMAT = 2
 LEVEL_STEP, LEVELS = 0.5, 9
 """Features of -1.5 to 3 fall into that many levels."""
 USUAL_S, USUAL_FRAMES = 5.0, 62
 """Where the length of a window speaks neither way."""
 NUMBERS = (
     "similarity", "second", "margin", "chance", "rate", "pitch", "heard", "known",
+    "lasting", "lasting_similarity", "lasting_lead",
 )  # fmt: skip
 MEASURES = LEVELS * LEVELS + len(NUMBERS)
-SIMILARITY, SECOND, HEARD, KNOWN = (
-    LEVELS**2 + NUMBERS.index(name) for name in ("similarity", "second", "heard", "known")
+SIMILARITY, SECOND, LASTING = (
+    LEVELS**2 + NUMBERS.index(name) for name in ("similarity", "second", "lasting")
 )
 SURE_FROM, SURE_GAIN = 0.3, 20.0
 """What stands so far above the second is sure, and regression cannot learn how sure: of 33,000
 windows of strangers, a second long or more, none stood 0.23 above it, or 0.37 if it was taken for
 another piece of its composer; right ones stand 0.4 to 0.8 above it where nothing disturbs."""
-POOR_BELOW, POOR_COST, POOR_SURE_FROM = 0.3, 10.0, 0.65
-"""Mean power of features, of query and place together: 99 of 100 windows of music hold more. A
-click and a pause are like any other click and pause (a tone stood 0.52 above the second for a piece
-of single sounds): what holds nothing pays this much, and is sure from the last lead on."""
+BRIEF_BELOW, BRIEF_COST, BRIEF_SURE_FROM = 0.5, 3.0, 0.65
+"""Where less than this share of a window agrees (1 window of music in 200), a click or a tone may
+be all there is. A tone's first moment stood 0.9 above the second for a piece of single sounds: such
+windows are sure only from the last lead on, and pay what twenty times as many strangers of their
+kind among the learned ones would make them pay, as a stage with such a piece hears nothing else."""
+_LASTING_FLOOR = 1e-3
 _LEVEL_OF_INT8 = np.clip(
     (np.arange(-128, 128) / QUANTUM - ft.CLIP_LOW) / LEVEL_STEP, 0, LEVELS - 1
 ).astype(np.int64)
@@ -99,6 +103,7 @@ def measure(query: F32, reference: Fine, numbers: Numbers) -> F64:
     known = _LEVEL_OF_INT8[reference.astype(np.int64) + 128]
     cells = np.bincount((heard * LEVELS + known).ravel(), minlength=LEVELS**2) / heard.size
     power = np.square(reference, dtype=np.float32).mean() / QUANTUM**2
+    lasting = math.log(share_that_agrees(query, reference) + _LASTING_FLOOR)
     rest = (
         numbers.similarity,
         numbers.second,
@@ -108,8 +113,24 @@ def measure(query: F32, reference: Fine, numbers: Numbers) -> F64:
         float(numbers.pitch != 1.0),
         float(np.square(query).mean()),
         float(power),
+        lasting,
+        lasting * numbers.similarity,
+        lasting * (numbers.similarity - numbers.second),
     )
     return np.concatenate([cells, rest])
+
+
+def share_that_agrees(query: F32, reference: Fine) -> float:
+    """Return over how much of a window what agrees is spread, 0..1: 1 / w if it is one frame.
+
+    Args:
+        query: (w, NUM_BANDS).
+        reference: (w, NUM_BANDS), as in `measure`.
+    """
+    both = np.maximum(query, 0.0) * np.maximum(reference, 0).astype(np.float32)
+    frames = both.sum(1)
+    most = len(frames) * float(np.square(frames).sum())
+    return float(frames.sum()) ** 2 / most if most > 0.0 else 0.0
 
 
 def with_length(measures: F64, frames: npt.NDArray[np.int64] | int) -> F64:
@@ -129,11 +150,11 @@ def certainty(measures: F64) -> F64:
     Args:
         measures: (..., MEASURES) or longer rows that begin with them.
     """
-    power = np.sqrt(measures[..., HEARD] * measures[..., KNOWN])
-    poor = 1.0 - np.minimum(power / POOR_BELOW, 1.0)
+    share = np.exp(measures[..., LASTING]) - _LASTING_FLOOR
+    brief = 1.0 - np.minimum(share / BRIEF_BELOW, 1.0)
     lead = measures[..., SIMILARITY] - measures[..., SECOND]
-    needed = SURE_FROM + (POOR_SURE_FROM - SURE_FROM) * poor
-    return np.asarray(SURE_GAIN * np.maximum(lead - needed, 0.0) - POOR_COST * poor)
+    needed = SURE_FROM + (BRIEF_SURE_FROM - SURE_FROM) * brief
+    return np.asarray(SURE_GAIN * np.maximum(lead - needed, 0.0) - BRIEF_COST * brief)
 
 
 class Verdict:

@@ -40,10 +40,10 @@ Rows = Mapping[str, npt.NDArray[Any]]
 SOUNDS, SEED = 16, 1
 RIDGE = 20.0
 """Cost of a squared weight, in rows; of measures in units of their own spread."""
-ACCEPTED = 0.001
-"""Share of windows of strangers that may stand above the threshold. Half as strict accepts half a
-point more under loud voices, and three times as many pieces of the same composer."""
-LOCKED_ABOVE = 2.0
+ACCEPTED = 0.0005
+"""Share of windows of strangers, voices and tones among them, that may stand above the threshold.
+Twice as many accept a quarter of a point more, and twice as many pieces of the same composer."""
+LOCKED_ABOVE = 1.75
 """A lock asks for so much more: a listener that is lost asks 40,000 windows an hour."""
 
 

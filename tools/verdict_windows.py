@@ -1,7 +1,9 @@
 """Windows of known and of unknown music, as the matcher sees them: what the verdict learns from.
 
 Every sound is asked twice, of the whole catalogue and of one that lacks its track, at several
-lengths. Tracks that share a passage with it are no strangers and are left out both times.
+lengths. Tracks that share a passage with it are no strangers and are left out both times. Pieces
+of single sounds and pauses are put among the tracks; voices, tones, noise and other such pieces
+are asked, too.
 """
 
 from __future__ import annotations
@@ -25,8 +27,9 @@ from downbeat.tools.chunks_folder import RATE_HZ, make_index, read_folder, read_
 from downbeat.tools.chunks_make import Query, is_silent, recombined
 from downbeat.tools.chunks_score import ConditionScore, Places
 from downbeat.tools.conditions import Degradation
-from downbeat.tools.matcher_sounds import make_babble, white_noise
+from downbeat.tools.matcher_sounds import make_babble, synthetic_sounds, white_noise
 from downbeat.tools.passages import find_passages
+from downbeat.tools.sparse_sounds import sparse_pieces
 
 LENGTHS_S = (1.0, 1.25, 2.0, 3.0, 5.0, 8.0)
 LENGTHS_PER_SOUND = 3
@@ -35,6 +38,8 @@ SMALL_CATALOGUE, SMALL_SHARE = 8, 0.25
 """A quarter of the strangers is asked of a catalogue of so many tracks."""
 LOUDEST_DB, SOFTEST_DB = -5.0, 10.0
 """Of noise and voices: music above them."""
+SPARSE, SPARSE_STRANGERS = 8, 16
+"""Pieces of single sounds and pauses that join the catalogue, and others that nobody knows."""
 
 
 @dataclass
@@ -114,8 +119,16 @@ class VerdictStudy:
             PerceptionError: A folder without recordings.
         """
         self.recordings = read_tracks(tracks)
+        seed = zlib.crc32(tracks.resolve().name.encode())
+        made = sparse_pieces(SPARSE + SPARSE_STRANGERS, seed, RATE_HZ)
+        self.recordings |= {piece.name: piece for piece in made[:SPARSE]}
         self.groups = read_groups(groups)
         voices = [read_folder(folder) for folder in speech]
+        self.strangers = [
+            *made[SPARSE:],
+            *synthetic_sounds(),
+            *(v for all_ in voices for v in all_),
+        ]
         self.babbles = [make_babble([v.samples for v in all_], 30.0, RATE_HZ) for all_ in voices]
         self.index: Index = make_index(self.recordings.values())
         self.index.shared = find_passages(self.index)
@@ -149,7 +162,18 @@ class VerdictStudy:
                 for query in sounds(music, max(count // 8, 1), [], rng):
                     part = query.samples[: round(float(rng.choice(LENGTHS_S)) * RATE_HZ)]
                     self._ask(rows, others, query, part, is_known=False)
+        self._ask_strangers(rows, count, seed)
         return rows
+
+    def _ask_strangers(self, rows: Windows, count: int, seed: int) -> None:
+        """Ask what no catalogue holds: voices, tones, noise, single sounds."""
+        matcher = AlignmentMatcher(self.index)
+        for recording in self.strangers:
+            rng = np.random.default_rng([seed, zlib.crc32(recording.name.encode())])
+            for query in sounds(recording, count, [], rng):
+                for seconds in rng.permutation(LENGTHS_S)[:LENGTHS_PER_SOUND].tolist():
+                    part = query.samples[: round(seconds * RATE_HZ)]
+                    self._ask(rows, matcher, query, part, is_known=False)
 
     def _copies_of(self, name: str) -> set[str]:
         """Return the tracks that share a passage with one."""

@@ -18,6 +18,7 @@ from downbeat.perception.verdict import (
     Verdict,
     learned,
     measure,
+    share_that_agrees,
     with_length,
 )
 
@@ -69,6 +70,18 @@ def test_who_stands_further_above_the_second_is_never_less_likely(lead, more):
         for x in (lead, lead + more)
     )
     assert far > near
+
+
+def test_a_click_is_one_witness_however_alike_two_clicks_are(spectra):
+    sound = np.zeros(6 * 16_000, np.float32)
+    sound[32_000:32_800] = np.random.default_rng(1).standard_normal(800)
+    click, music = ft.features(sound)[:FRAMES], spectra[0]
+    assert share_that_agrees(click, quantised(click)) < 0.1
+    assert share_that_agrees(music, quantised(music)) > 0.5
+    assert share_that_agrees(np.zeros_like(click), quantised(click)) == 0.0
+    same = Numbers(similarity=1.0, second=0.45, chance=0.06, rate=1.0, pitch=1.0)
+    alike = learned().log_odds(click, quantised(click), same)
+    assert alike < learned().log_odds(music, quantised(music), same) - 5.0
 
 
 def test_cells_are_shares_and_do_not_depend_on_the_length(spectra):
