@@ -13,6 +13,8 @@ import numpy as np
 from downbeat.perception.features import F32
 from downbeat.perception.source import Recording
 
+NAME = "sparse"
+"""Begins the names of pieces."""
 PIECE_S = 40.0
 SOUNDS = (1, 6)
 """So many different sounds make a piece, fewest and most."""
@@ -34,7 +36,7 @@ def sparse_pieces(count: int, seed: int, sample_rate_hz: int) -> list[Recording]
     """
     return [
         Recording(
-            f"sparse {seed} {number}",
+            f"{NAME} {seed} {number}",
             _piece(np.random.default_rng([seed, number]), sample_rate_hz),
             sample_rate_hz,
         )

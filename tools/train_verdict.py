@@ -30,6 +30,7 @@ from downbeat.perception.verdict import (
     with_length,
 )
 from downbeat.runtime.errors import DownbeatError
+from downbeat.tools import sparse_sounds
 from downbeat.tools.console import say
 from downbeat.tools.errors import ToolError
 from downbeat.tools.verdict_windows import LENGTHS_S, VerdictStudy
@@ -38,6 +39,7 @@ F64 = npt.NDArray[np.float64]
 Rows = Mapping[str, npt.NDArray[Any]]
 
 SOUNDS, SEED = 16, 1
+SPARSE_ROW = "single sounds"
 RIDGE = 20.0
 """Cost of a squared weight, in rows; of measures in units of their own spread."""
 ACCEPTED = 0.0005
@@ -85,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     scores = np.concatenate([apart[n].log_odds(_measures(r)) for n, r in folders.items()])
     rows = {
         key: np.concatenate([r[key] for r in folders.values()])
-        for key in ("frames", "is_right", "is_known", "is_kin", "condition")
+        for key in ("frames", "is_right", "is_known", "is_kin", "condition", "track")
     }
     accept, lock = thresholds(rows, scores)
     report(rows, scores, accept, lock)
@@ -190,6 +192,7 @@ def report(rows: Rows, scores: F64, accept: Line, lock: Line) -> None:
     """Print a table per length: what is accepted of which condition, and of strangers."""
     # "tempo+2%" and its like are one row.
     plain = np.array([str(name).rstrip("0123456789+-%.") for name in rows["condition"]])
+    plain = np.where(np.char.startswith(rows["track"], sparse_sounds.NAME), SPARSE_ROW, plain)
     names = sorted(set(plain.tolist()))
     for is_long, length in zip(_by_length(rows), LENGTHS_S):
         needed, sure = accept.of(length), lock.of(length)
@@ -208,7 +211,7 @@ def report(rows: Rows, scores: F64, accept: Line, lock: Line) -> None:
             right = rows["is_right"] & here
             if here.any():
                 print(
-                    f"    {name:12} n {here.sum():5}  right {_share(right, here):5.1f}  accepted "
+                    f"    {name:13} n {here.sum():5}  right {_share(right, here):5.1f}  accepted "
                     f"{_share(right & (scores > needed), here):5.1f}  locked "
                     f"{_share(right & (scores > sure), here):5.1f}"
                 )
