@@ -48,6 +48,7 @@ Command = (
     | Annotated[robot.Bridge, sub("bridge")]
     | Annotated[operate.Ask, sub("ask")]
     | Annotated[operate.Stop, sub("stop")]
+    | Annotated[operate.Arm, sub("arm")]
     | Annotated[operate.Replay, sub("replay")]
     | Annotated[operate.Traffic, sub("traffic")]
     | Annotated[operate.Report, sub("report")]

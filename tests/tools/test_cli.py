@@ -112,7 +112,7 @@ def test_report_of_an_empty_folder(capsys, tmp_path):
 
 
 COMMANDS = (
-    "demo eval catalog policy sim listen conduct control record ask stop report spy doctor bench "
+    "demo eval catalog policy sim listen conduct control record ask stop arm report spy doctor bench "
     "export"
 )
 

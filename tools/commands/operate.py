@@ -1,4 +1,4 @@
-"""The operator's commands: ask, stop, report, spy, doctor, bench, export."""
+"""The operator's commands: ask, stop, arm, report, spy, doctor, bench, export."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Stop:
     """Emergency stop: publish ESTOP on the bus."""
 
     level: Literal["damp", "zero_torque", "clear"] = "damp"
-    """damp: joints damped; zero_torque: limp; clear: re-arm after a trip."""
+    """damp: joints damped; zero_torque: limp; clear: forget the trip, for `downbeat arm`."""
     reason: str = "operator"
     """For the log."""
     url: str = ""
@@ -47,6 +47,20 @@ class Stop:
         from downbeat.tools.operator import stop
 
         return stop(self.level, self.reason, self.url)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Arm control in simulation again, after a stop that was cleared; the robot then stands."""
+
+    url: str = ""
+    """LCM URL."""
+
+    def run(self) -> int:
+        """Arm, and say whether it is armed now or why not; 0 if it is."""
+        from downbeat.tools.arming import arm
+
+        return arm(self.url)
 
 
 @dataclass(frozen=True)
