@@ -1,11 +1,13 @@
 """`downbeat`: one entry point; every subcommand imports its own needs when it runs.
 
-Exit codes: 0 good, 1 the thing asked failed (a fall, a missed section), 2 wrong input; 130 by
-Ctrl-C, 141 where nobody reads the output any more (`downbeat ... | head -1`), as of any Unix tool.
+Exit codes: 0 good, 1 the thing asked failed (a fall, a missed section, output that no disk takes),
+2 wrong input; 130 by Ctrl-C, 141 where nobody reads the output any more (`downbeat ... | head -1`),
+as of any Unix tool.
 """
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import sys
@@ -60,8 +62,10 @@ Command = (
 )
 
 
+REFUSED = 1
 INTERRUPTED, NO_READER = 130, 141
 """128 and the number of the signal, as a shell counts."""
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -77,6 +81,11 @@ def main(argv: list[str] | None = None) -> int:
         if not _drop_unread_output():
             raise
         return NO_READER
+    except OSError as error:
+        if not (refused := _drop_refused_output(error)):
+            raise
+        print(f"downbeat: {'; '.join(refused)}.", file=sys.stderr)
+        return REFUSED
     except SystemExit as end:
         if isinstance(end.__context__, BrokenPipeError):  # rich has dropped it already
             return NO_READER
@@ -114,6 +123,26 @@ def _drop_unread_output() -> bool:
             is_unread = True
     os.close(nowhere)
     return is_unread
+
+
+def _drop_refused_output(failed: OSError) -> list[str]:
+    """Send output that no disk takes nowhere; returns what could not be written, and why."""
+    refused = []
+    for name, stream in (("standard error", sys.stderr), ("standard output", sys.stdout)):
+        if stream is None:
+            continue
+        try:
+            stream.flush()
+            is_doubtful = failed.errno in NO_ROOM and failed.filename is None and not refused
+            if is_doubtful and stream is sys.stdout:
+                stream.write("\n")  # a long text is not kept for `flush`: ask once more
+                stream.flush()
+        except OSError as error:
+            refused.append(f"{name} cannot be written: {error.strerror or error}")
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
+    return refused
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The command line: wrong input is one sentence and exit code 2; every command has its help."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -112,8 +113,8 @@ def test_report_of_an_empty_folder(capsys, tmp_path):
 
 
 COMMANDS = (
-    "demo eval catalog policy sim listen conduct control record ask stop arm report spy doctor bench "
-    "export"
+    "demo eval catalog policy sim listen conduct control record ask stop arm report spy doctor "
+    "bench export"
 )
 
 
@@ -172,4 +173,48 @@ def test_a_pipe_that_breaks_elsewhere_is_no_unread_output(monkeypatch):
         monkeypatch.setattr(sys, "stdout", nowhere)
         monkeypatch.setattr(sys, "stderr", nowhere)
         with pytest.raises(BrokenPipeError, match="service"):
+            main(["catalog", "show"])
+
+
+FULL = "/dev/full"
+full_disk = pytest.mark.skipif(not os.path.exists(FULL), reason="only Linux has a full device")
+
+
+@full_disk
+@pytest.mark.parametrize("unbuffered", [[], ["-u"]])
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["--help"],
+        ["catalog", "show"],  # a table
+        ["policy", "inspect", "kpop"],
+        ["arm", "--help"],
+    ],
+)
+def test_output_that_the_disk_does_not_take_is_one_sentence(argv, unbuffered):
+    command = [sys.executable, *unbuffered, "-m", "downbeat.tools.cli", *argv]
+    with open(FULL, "w") as out:
+        done = subprocess.run(command, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+    said = "downbeat: standard output cannot be written: No space left on device.\n"
+    assert done.stderr == said
+    assert done.returncode == 1
+
+
+@full_disk
+@pytest.mark.parametrize("argv", [["catalog", "show", "nowhere"], ["no such command"]])
+def test_errors_that_cannot_be_written_are_no_traceback_either(argv):
+    command = [sys.executable, "-m", "downbeat.tools.cli", *argv]
+    with open(FULL, "w") as out:
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=out, text=True, check=False)
+    assert done.returncode == 1 and not done.stdout.strip()
+
+
+def test_a_disk_that_is_full_elsewhere_is_not_called_standard_output(monkeypatch, tmp_path):
+    def fail(self):
+        raise OSError(errno.ENOSPC, "No space left on device", "journal")
+
+    monkeypatch.setattr("downbeat.tools.commands.catalog.Show.run", fail)
+    with open(tmp_path / "out", "w") as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        with pytest.raises(OSError, match="journal"):
             main(["catalog", "show"])
