@@ -1,7 +1,6 @@
 """Scenarios on a real LCM bus (ttl=0), and what may never be played there."""
 
 import json
-import socket
 import subprocess
 import sys
 import threading
@@ -12,10 +11,9 @@ from pathlib import Path
 import pytest
 
 from downbeat.lcm_types import control_status_t, g1_low_state_t
-from downbeat.runtime.bus import MulticastError, open_udpm, parse_udpm_url
+from downbeat.runtime.bus import open_udpm
 from downbeat.runtime.clock import WallClock
 from downbeat.runtime.traffic import Impairment, Injection
-from downbeat.runtime.udpm import check_multicast
 from downbeat.tools.cli import main
 from downbeat.tools.errors import ToolError
 from downbeat.tools.scenario import Expectation, Scenario, load_scenario
@@ -33,16 +31,8 @@ ESTOP = Scenario(
 
 
 @pytest.fixture
-def url():
-    """LCM URL that nobody uses; ttl=0 keeps it on this machine."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        found = f"udpm://239.255.76.67:{min(probe.getsockname()[1], 65533)}?ttl=0"
-    try:
-        check_multicast(parse_udpm_url(found))
-    except MulticastError as error:
-        pytest.skip(str(error))
-    return found
+def url(free_url):
+    return free_url
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,8 +19,8 @@ from downbeat.lcm_types import (
     skill_request_t,
     skill_status_t,
 )
-from downbeat.runtime.bus import MemqHub, MulticastError, open_udpm
-from downbeat.runtime.clock import SimClock, WallClock
+from downbeat.runtime.bus import MemqHub
+from downbeat.runtime.clock import SimClock
 from downbeat.sim.lockstep import STEP_US
 from downbeat.sim.node import SimNode
 from downbeat.tools.arming import arm_on
@@ -206,27 +205,16 @@ def test_two_robots_on_one_bus_are_not_armed(library):
     assert not is_armed and "two processes" in said and not sent
 
 
-def free_url():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        url = f"udpm://239.255.79.67:{min(probe.getsockname()[1], 65_533)}?ttl=0"
-    try:
-        open_udpm(url, WallClock(), "ear").close()
-    except MulticastError as error:
-        pytest.skip(str(error))
-    return url
-
-
-def test_without_control_one_sentence_says_so(capsys):
-    assert main(["arm", "--url", free_url()]) == 1
+def test_without_control_one_sentence_says_so(capsys, free_url):
+    assert main(["arm", "--url", free_url]) == 1
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 1 and "no control process answers" in said[0]
 
 
 @pytest.mark.slow
-def test_processes_are_stopped_cleared_and_armed_from_the_command_line(tmp_path):
+def test_processes_are_stopped_cleared_and_armed_from_the_command_line(tmp_path, free_url):
     """Only the plant is started anew; control keeps its journal."""
-    url = free_url()
+    url = free_url
     (tmp_path / "show.toml").write_text('audio = "none.wav"\ntracks = "none"\nindex = "none"\n')
 
     def start(name):

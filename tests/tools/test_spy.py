@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import time
 import zipfile
@@ -12,10 +11,9 @@ from pathlib import Path
 import pytest
 
 from downbeat.lcm_types import control_status_t, g1_low_state_t
-from downbeat.runtime.bus import MulticastError, open_udpm, parse_udpm_url
+from downbeat.runtime.bus import open_udpm
 from downbeat.runtime.clock import WallClock
 from downbeat.runtime.codec_layout import known_types
-from downbeat.runtime.udpm import check_multicast
 from downbeat.tools.spy import SpyError, build_types_jar, lcm_files, start_spy, types_jar_path
 
 
@@ -32,15 +30,8 @@ def jar_cache(tmp_path_factory):
 
 
 @pytest.fixture
-def url():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        found = f"udpm://239.255.76.67:{min(probe.getsockname()[1], 65533)}?ttl=0"
-    try:
-        check_multicast(parse_udpm_url(found))
-    except MulticastError as error:
-        pytest.skip(str(error))
-    return found
+def url(free_url):
+    return free_url
 
 
 @pytest.fixture
