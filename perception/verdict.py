@@ -4,9 +4,10 @@ Correlation asks only how alike two spectra are. But noise adds and takes nothin
 reference is loud and the query is not, the place is wrong however well the rest fits; where the
 query is loud and the reference is not, somebody talks. So each cell votes with the weight that its
 two levels have earned, and the query's own numbers (rival, chance, rate) join them. How much of
-the window agrees counts, too: a click is one witness, however alike two clicks are. The weights
-are learned: logistic regression on windows of known and of unknown music, of voices, tones and
-single sounds (`python -m downbeat.tools.train_verdict`, docs/matcher.md).
+the window agrees counts, too: a click is one witness, however alike two clicks are, and so is a
+drum that is hit over and over. The weights are learned: logistic regression on windows of known and
+of unknown music, of voices, tones, single sounds and drum loops (`python -m
+downbeat.tools.train_verdict`, docs/matcher.md).
 """
 
 from __future__ import annotations
@@ -36,11 +37,15 @@ USUAL_S, USUAL_FRAMES = 5.0, 62
 NUMBERS = (
     "similarity", "second", "margin", "chance", "rate", "pitch", "heard", "known",
     "lasting", "lasting_similarity", "lasting_lead",
+    "variety", "variety_similarity", "variety_lead",
 )  # fmt: skip
 MEASURES = LEVELS * LEVELS + len(NUMBERS)
 SIMILARITY, SECOND, LASTING = (
     LEVELS**2 + NUMBERS.index(name) for name in ("similarity", "second", "lasting")
 )
+WITNESSES = slice(LASTING, MEASURES)
+"""Measures of how much agrees: the script learns weights of 0 or more for them, as to agree over
+more of the window, or with more different sounds, never speaks against a fit."""
 SURE_FROM, SURE_GAIN = 0.3, 20.0
 """What stands so far above the second is sure, and regression cannot learn how sure: of 33,000
 windows of strangers, a second long or more, none stood 0.23 above it, or 0.37 if it was taken for
@@ -103,11 +108,14 @@ def measure(query: F32, reference: Fine, numbers: Numbers) -> F64:
     known = _LEVEL_OF_INT8[reference.astype(np.int64) + 128]
     cells = np.bincount((heard * LEVELS + known).ravel(), minlength=LEVELS**2) / heard.size
     power = np.square(reference, dtype=np.float32).mean() / QUANTUM**2
-    lasting = math.log(share_that_agrees(query, reference) + _LASTING_FLOOR)
+    agreed = agreement(query, reference)
+    lasting = math.log(share_that_agrees(agreed) + _LASTING_FLOOR)
+    varied = math.log(variety(agreed))
+    lead = numbers.similarity - numbers.second
     rest = (
         numbers.similarity,
         numbers.second,
-        (numbers.similarity - numbers.second) / (numbers.chance + 1e-3) / 10.0,
+        lead / (numbers.chance + 1e-3) / 10.0,
         numbers.chance * 10.0,
         abs(numbers.rate - 1.0) * 20.0,
         float(numbers.pitch != 1.0),
@@ -115,22 +123,47 @@ def measure(query: F32, reference: Fine, numbers: Numbers) -> F64:
         float(power),
         lasting,
         lasting * numbers.similarity,
-        lasting * (numbers.similarity - numbers.second),
+        lasting * lead,
+        varied,
+        varied * numbers.similarity,
+        varied * lead,
     )
     return np.concatenate([cells, rest])
 
 
-def share_that_agrees(query: F32, reference: Fine) -> float:
-    """Return over how much of a window what agrees is spread, 0..1: 1 / w if it is one frame.
+def agreement(query: F32, reference: Fine) -> F32:
+    """Return where both are louder than around, and how much, (w, NUM_BANDS).
 
     Args:
         query: (w, NUM_BANDS).
         reference: (w, NUM_BANDS), as in `measure`.
     """
     both = np.maximum(query, 0.0) * np.maximum(reference, 0).astype(np.float32)
-    frames = both.sum(1)
+    return np.asarray(both, np.float32)
+
+
+def share_that_agrees(agreed: F32) -> float:
+    """Return over how much of a window what agrees is spread, 0..1: 1 / w if it is one frame.
+
+    Args:
+        agreed: (w, NUM_BANDS) `agreement`.
+    """
+    frames = agreed.sum(1)
     most = len(frames) * float(np.square(frames).sum())
     return float(frames.sum()) ** 2 / most if most > 0.0 else 0.0
+
+
+def variety(agreed: F32) -> float:
+    """Return how many different spectra agree, 1 or more: one sound repeated is one.
+
+    The participation ratio of the eigenvalues of the frames' inner products.
+
+    Args:
+        agreed: (w, NUM_BANDS) `agreement`.
+    """
+    products = agreed @ agreed.T
+    most = float(np.square(products).sum())
+    return max(float(np.trace(products)) ** 2 / most, 1.0) if most > 0.0 else 1.0
 
 
 def with_length(measures: F64, frames: npt.NDArray[np.int64] | int) -> F64:

@@ -18,13 +18,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.special import expit
 
 from downbeat.perception import features as ft
 from downbeat.perception.verdict import (
     FORMAT,
+    MEASURES,
     WEIGHTS,
+    WITNESSES,
     Line,
     certainty,
     with_length,
@@ -139,7 +141,7 @@ def _measures(rows: Rows) -> F64:
 
 
 def fit(folders: Sequence[Rows]) -> Model:
-    """Fit weights to the rows of some folders."""
+    """Fit weights to the rows of some folders; of witnesses they are the same at every length."""
     measures = np.concatenate([_measures(rows) for rows in folders])
     is_right = np.concatenate([rows["is_right"] for rows in folders])
     centre, spread = measures.mean(0), measures.std(0) + 1e-9
@@ -155,7 +157,13 @@ def fit(folders: Sequence[Rows]) -> Model:
         return value, slope
 
     start = np.zeros(measures.shape[1] + 1)
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": 2000})
+    lowest, highest = np.full_like(start, -np.inf), np.full_like(start, np.inf)
+    lowest[:MEASURES][WITNESSES] = lowest[MEASURES:-2][WITNESSES] = 0.0
+    highest[MEASURES:-2][WITNESSES] = 0.0
+    found = minimize(
+        cost, start, jac=True, method="L-BFGS-B", bounds=Bounds(lowest, highest),
+        options={"maxiter": 2000},
+    )  # fmt: skip
     weights = found.x[:-1] / spread
     return Model(weights, float(found.x[-1] - centre @ weights))
 

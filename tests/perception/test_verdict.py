@@ -16,9 +16,11 @@ from downbeat.perception.verdict import (
     Line,
     Numbers,
     Verdict,
+    agreement,
     learned,
     measure,
     share_that_agrees,
+    variety,
     with_length,
 )
 
@@ -76,12 +78,54 @@ def test_a_click_is_one_witness_however_alike_two_clicks_are(spectra):
     sound = np.zeros(6 * 16_000, np.float32)
     sound[32_000:32_800] = np.random.default_rng(1).standard_normal(800)
     click, music = ft.features(sound)[:FRAMES], spectra[0]
-    assert share_that_agrees(click, quantised(click)) < 0.1
-    assert share_that_agrees(music, quantised(music)) > 0.5
-    assert share_that_agrees(np.zeros_like(click), quantised(click)) == 0.0
+    assert share_that_agrees(agreement(click, quantised(click))) < 0.1
+    assert share_that_agrees(agreement(music, quantised(music))) > 0.5
+    assert share_that_agrees(np.zeros_like(click)) == 0.0
     same = Numbers(similarity=1.0, second=0.45, chance=0.06, rate=1.0, pitch=1.0)
     alike = learned().log_odds(click, quantised(click), same)
     assert alike < learned().log_odds(music, quantised(music), same) - 5.0
+
+
+@given(
+    sounds=st.integers(1, 6),
+    hits=st.integers(1, 8),
+    loudness=st.floats(0.01, 100.0),
+    seed=st.integers(0, 99),
+)
+def test_variety_counts_different_sounds_however_often_and_loud_they_are(
+    sounds, hits, loudness, seed
+):
+    """Bands of their own make sounds that have nothing in common."""
+    rng = np.random.default_rng(seed)
+    once = np.zeros((sounds, ft.NUM_BANDS), np.float32)
+    for number, bands in enumerate(np.array_split(rng.permutation(ft.NUM_BANDS), sounds)):
+        once[number, bands[: ft.NUM_BANDS // 6 - 1]] = 1.0
+    heard = rng.permutation(np.repeat(once, hits, 0)) * np.float32(loudness)
+    assert variety(heard) == pytest.approx(sounds, rel=1e-3)
+    with_pauses = np.concatenate([heard, np.zeros_like(heard)])
+    assert variety(with_pauses) == pytest.approx(sounds, rel=1e-3)
+
+
+def test_where_nothing_agrees_there_is_no_variety():
+    assert variety(np.zeros((FRAMES, ft.NUM_BANDS), np.float32)) == 1.0
+
+
+@given(
+    similarity=st.floats(0.1, 1.0),
+    lead=st.floats(0.0, 0.29),
+    bars=st.sampled_from([2, 4, 8]),
+    frames=st.integers(16, 100),
+)
+def test_a_drum_that_is_hit_over_and_over_is_one_witness(spectra, similarity, lead, bars, frames):
+    """Bands that are mixed anew in each bar: same cells, same share of the window, more sounds."""
+    numbers = Numbers(similarity, similarity - lead, 0.1, 1.0, 1.0)
+    loop = np.tile(spectra[0][8 : 8 + bars], (frames // bars + 1, 1))[:frames]
+    rng = np.random.default_rng(0)
+    parts = [loop[i : i + bars] for i in range(0, frames, bars)]
+    mixed = np.concatenate([part[:, rng.permutation(ft.NUM_BANDS)] for part in parts])
+    assert variety(agreement(loop, quantised(loop))) < 0.6 * variety(mixed.clip(0.0) ** 2)
+    alike, varied = (learned().log_odds(x, quantised(x), numbers) for x in (loop, mixed))
+    assert alike < varied - 0.5
 
 
 def test_cells_are_shares_and_do_not_depend_on_the_length(spectra):
