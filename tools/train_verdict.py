@@ -44,7 +44,7 @@ SOUNDS, SEED = 16, 1
 SPARSE_ROW = "single sounds"
 RIDGE = 20.0
 """Cost of a squared weight, in rows; of measures in units of their own spread."""
-ACCEPTED = 0.0005
+ACCEPTED = 0.00075
 """Share of windows of strangers, voices and tones among them, that may stand above the threshold.
 Twice as many accept a quarter of a point more, and twice as many pieces of the same composer."""
 LOCKED_ABOVE = 1.75
