@@ -46,7 +46,8 @@ RIDGE = 20.0
 """Cost of a squared weight, in rows; of measures in units of their own spread."""
 ACCEPTED = 0.00075
 """Share of windows of strangers, voices and tones among them, that may stand above the threshold.
-Twice as many accept a quarter of a point more, and twice as many pieces of the same composer."""
+One in two thousand accepts a point less of 3 s through the robot's microphone, one in a thousand
+takes twice as many for another piece of their composer as one in two thousand does."""
 LOCKED_ABOVE = 1.75
 """A lock asks for so much more: a listener that is lost asks 40,000 windows an hour."""
 
