@@ -212,9 +212,8 @@ class BeatFollower:
             return
         mine = _same_beat(self._line, now_s)
         leads = bool(scores.max() > scores[mine].max(initial=-np.inf) + CHALLENGE)
-        offbeat = _same_beat(
-            replace(self._line, beat_s=self._line.beat_s + 0.5 * self._line.period_s), now_s
-        )
+        between = replace(self._line, beat_s=self._line.beat_s + 0.5 * self._line.period_s)
+        offbeat = _same_beat(between, now_s)
         if leads and offbeat[best]:
             leads = bool(self._long[offbeat].max() > self._long[mine].max(initial=-np.inf))
         self._lead = self._lead + 1 if leads else 0

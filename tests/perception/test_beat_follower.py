@@ -92,6 +92,31 @@ def test_a_clear_beat_is_steady_within_seven_beats(bpm):
     assert error_s(beat, bpm, 0.0) < 0.030
 
 
+def played_with_a_shift(shift_s, seconds):
+    """Return drums of 120 BPM: 40 s, then moved by half a beat, then 10 s as in the beginning."""
+    bpm, rest_s = 120.0, 10.0
+    parts = [drums(bpm, 0.0, seconds), drums(bpm, shift_s, 60.0), drums(bpm, 0.0, rest_s)]
+    return np.concatenate([parts[0], parts[1][: round(9.0 * RATE)], parts[2]])
+
+
+def test_a_held_beat_outlives_nine_seconds_on_its_offbeat():
+    """Rhythms are displaced for some bars; the dance goes on."""
+    follower, errors = BeatFollower(), []
+    sound = played_with_a_shift(0.25, 40.0)
+    for at in range(0, len(sound), 800):
+        follower.hear(sound[at : at + 800], ZERO + at * 1_000_000 // RATE)
+        if at >= 20 * RATE:
+            errors.append(error_s(follower.beat(ZERO + at * 1_000_000 // RATE), 120.0, 0.0))
+    assert max(errors) < 0.06
+
+
+def test_music_that_stays_on_the_other_half_beat_is_followed_there():
+    follower = BeatFollower()
+    sound = np.concatenate([drums(120.0, 0.0, 20.0), drums(120.0, 0.25, 40.0)])
+    hear(follower, sound)
+    assert error_s(follower.beat(ZERO + 60_000_000), 120.0, 0.25) < 0.03
+
+
 def test_the_template_scores_as_its_features_say():
     rng = np.random.default_rng(11)
     bank = RhythmBank()

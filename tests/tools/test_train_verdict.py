@@ -8,7 +8,7 @@ import pytest
 import soundfile
 
 from downbeat.perception.features import features, to_matcher_rate
-from downbeat.perception.verdict import MEASURES, Verdict, with_length
+from downbeat.perception.verdict import MEASURES, WITNESSES, Verdict, learned, with_length
 from downbeat.runtime.errors import DownbeatError
 from downbeat.tools.errors import ToolError
 from downbeat.tools.sparse_sounds import PIECE_S, sparse_pieces
@@ -119,6 +119,17 @@ def test_the_script_writes_weights_that_the_matcher_reads(folders, tmp_path, cap
     assert "strangers" in said and "single sounds" in said
     main(["--tracks", *tracks, "--out", str(out), *kept])  # of what was kept
     assert out.read_bytes() == first
+
+
+def test_to_agree_over_more_is_never_learned_to_speak_against_a_fit():
+    """Rows in which what agrees less is right: the weights stop at nothing, at every length."""
+    rng = np.random.default_rng(4)
+    measures = rng.normal(size=(ROWS, MEASURES))
+    is_right = measures[:, WITNESSES].sum(1) < 0.0
+    rows = {"measures": measures, "is_right": is_right, "frames": rng.integers(12, 100, ROWS)}
+    for model in (fit([rows]).weights, learned()._weights):
+        assert (model[:MEASURES][WITNESSES] >= 0.0).all()
+        assert not model[MEASURES:-1][WITNESSES].any()
 
 
 def test_folders_and_groups_must_pair(folders, tmp_path):
