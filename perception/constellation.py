@@ -17,7 +17,7 @@ from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
 from downbeat.perception.index import PAD_FRAMES, QUANTUM, SILENT_PEAK, Index
 from downbeat.perception.landmarks import I64, Postings, query_landmarks
-from downbeat.perception.matcher import MIN_SAMPLE_RATE_HZ, MatchResult
+from downbeat.perception.match import MatchResult, check_rate
 
 COLUMN = 3
 """Frames of 40 ms of one column of the histogram; beside each other they are counted together."""
@@ -51,7 +51,7 @@ class ConstellationMatcher:
         Raises:
             PerceptionError: The name is taken, or the track is silent or too short.
         """
-        _check_rate(sample_rate_hz)
+        check_rate(sample_rate_hz)
         self.index.add(name, samples, sample_rate_hz)
         self._is_ready = False
 
@@ -145,7 +145,7 @@ class ConstellationMatcher:
 
         Starts are frames counted through all tracks.
         """
-        _check_rate(sample_rate_hz)
+        check_rate(sample_rate_hz)
         if not self._is_ready:
             self.finish()
         peak = float(np.abs(samples).max()) if len(samples) else 0.0
@@ -165,11 +165,3 @@ def _histogram(starts: I64) -> tuple[I64, I64]:
     beside = np.flatnonzero(np.diff(places) == 1)
     both[beside] += votes[beside + 1]
     return places, both
-
-
-def _check_rate(sample_rate_hz: int) -> None:
-    if sample_rate_hz < MIN_SAMPLE_RATE_HZ:
-        raise PerceptionError(
-            f"Sound at {sample_rate_hz} Hz cannot be matched; valid is {MIN_SAMPLE_RATE_HZ} Hz "
-            "and above."
-        )

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
+
+MIN_SAMPLE_RATE_HZ = 8_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,3 +74,12 @@ class MusicMatcher(Protocol):
         self, samples: F32, sample_rate_hz: int, track: str, tau_s: float
     ) -> tuple[float, float]:
         """Return (similarity, correction [s]) of a window against a known place."""
+
+
+def check_rate(sample_rate_hz: int) -> None:
+    """Raise PerceptionError where sound at a rate cannot be matched."""
+    if sample_rate_hz < MIN_SAMPLE_RATE_HZ:
+        raise PerceptionError(
+            f"Sound at {sample_rate_hz} Hz cannot be matched; valid is {MIN_SAMPLE_RATE_HZ} Hz "
+            "and above."
+        )

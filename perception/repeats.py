@@ -6,10 +6,12 @@ more than the difference of two repeats of a riff: the true one may be behind a 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from downbeat.perception.alignment import I64, MAX_WIDTH, QUIET_SHARE
+from downbeat.perception.alignment import I64, MAX_WIDTH, QUIET_SHARE, Fit
 from downbeat.perception.features import F32
 from downbeat.perception.index import FINE_PER_COARSE, QUANTUM, Coarse
 from downbeat.perception.index import coarse as coarse_of
@@ -18,6 +20,8 @@ FINE_PER_FRAME = 2
 """Frames of the reference per frame of a query."""
 LIKE = 0.75
 """Places below this share of the best one of the track are no repeats."""
+REPEAT_SHARE, REPEAT_APART_S = 0.95, 0.25
+"""A place counts as a repeat if it reaches this share of the best similarity."""
 
 
 def like_places(rows: Coarse, values: F32, count: int) -> I64:
@@ -45,6 +49,16 @@ def like_places(rows: Coarse, values: F32, count: int) -> I64:
     peaks = peaks[both[peaks] >= LIKE * both.max()]
     peaks = peaks[np.argsort(-both[peaks], kind="stable")][:count]
     return (peaks - 1) * (FINE_PER_COARSE // FINE_PER_FRAME)
+
+
+def repeats_of(best: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
+    """Return where else in its track the best fit is nearly reached [s], in the order of `fits`."""
+    found: list[float] = []
+    for fit in fits:
+        is_near = any(abs(fit.tau_s - tau_s) < REPEAT_APART_S for tau_s in (best.tau_s, *found))
+        if fit.track == best.track and fit.similarity >= REPEAT_SHARE * best.similarity:
+            found += [] if is_near else [fit.tau_s]
+    return tuple(found)
 
 
 def _scores(track: F32, query: F32) -> F32:

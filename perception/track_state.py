@@ -67,6 +67,21 @@ class Place:
         return Place(self.track, self.at(utime) + POSITION_GAIN * correction_s, utime, rate)
 
 
+@dataclass(slots=True)
+class Rival:
+    """Another repeat of the passage, or another track that shares it.
+
+    Attributes:
+        track: Name.
+        offset_s: Where it stands, after the place of the lock [s].
+        evidence: How much less it fits, summed over hops.
+    """
+
+    track: str
+    offset_s: float
+    evidence: float = 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class TrackState:
     """What the tracker believes.

@@ -2,9 +2,9 @@
 
 While locked, every hop checks the last second against the place where the track must be: cheap, and
 it notices a cut within half a second. Then the sound after the change is searched, hop by hop in a
-longer window, until one stands high enough. In noise a weak second is no change where three still
-fit. While a lock is young, longer windows may move it to another repeat of the passage. What slips
-steadily is played at another speed.
+longer window, until one stands high enough, or two that share no sound agree (suspicion.py). In
+noise a weak second is no change where three still fit. While a lock is young, longer windows may
+move it to another repeat of the passage. What slips steadily is played at another speed.
 
 A passage that the track repeats note by note has several places. The lock follows one of them and
 says that it is ambiguous until what follows differs; who was sure before a repeat stays sure.
@@ -13,11 +13,12 @@ says that it is ambiguous until what follows differs; who was sure before a repe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from downbeat.perception.matcher import MatchResult, MusicMatcher
 from downbeat.perception.source import Ring
-from downbeat.perception.track_state import Lock, Place, TrackState
+from downbeat.perception.suspicion import Suspicions
+from downbeat.perception.track_state import Lock, Place, Rival, TrackState
 
 __all__ = ["Lock", "Place", "TrackState", "Tracker"]
 
@@ -69,21 +70,6 @@ DRIFT = 0.002
 """Uncertainty of the rate: seconds lost per second without a check."""
 
 
-@dataclass(slots=True)
-class Rival:
-    """Another repeat of the passage, or another track that shares it.
-
-    Attributes:
-        track: Name.
-        offset_s: Where it stands, after the place of the lock [s].
-        evidence: How much less it fits, summed over hops.
-    """
-
-    track: str
-    offset_s: float
-    evidence: float = 0.0
-
-
 def _is_sure(result: MatchResult) -> bool:
     """Say whether a search is enough for a lock, or for a place among twins."""
     return (result.accepted or bool(result.twins)) and not result.doubtful
@@ -103,6 +89,7 @@ class Tracker:
         self._now = self._turn = 0
         self._paused_us = 0  # since the last good check
         self._rivals: list[Rival] = []
+        self._suspicions = Suspicions()
         self._slip = 0.0  # mean square of the corrections [s^2]
 
     def update(self, ring: Ring, now: int, audible: bool) -> TrackState:
@@ -230,9 +217,12 @@ class Tracker:
         seconds = self._fresh_s(ring, now)
         if seconds < SHORTEST_S:
             return None
-        result, found = self._query(ring, now, min(seconds, LONGEST_S))
-        if not _is_sure(result) or place.is_near(found):
+        seconds = min(seconds, LONGEST_S)
+        result, found = self._query(ring, now, seconds)
+        if place.is_near(found):
             return None  # the old place may fit the whole window, but not its last second
+        if not self._is_enough(result, found, now, seconds):
+            return None
         return self._lock_on(result, found, now)
 
     def _confirm(self, ring: Ring, now: int, held: TrackState) -> TrackState:
@@ -269,9 +259,13 @@ class Tracker:
             lengths = [fresh_s]
         for seconds in lengths:
             result, found = self._query(ring, now, seconds)
-            if _is_sure(result):
+            if self._is_enough(result, found, now, seconds):
                 return self._lock_on(result, found, now)
         return TrackState()
+
+    def _is_enough(self, result: MatchResult, found: Place, now: int, seconds: float) -> bool:
+        """Say whether a search is enough for a lock, by itself or with one before it."""
+        return _is_sure(result) or self._suspicions.confirm(result, found, now, seconds)
 
     def _fresh_s(self, ring: Ring, now: int) -> float:
         """Return how much sound there is that the last lock did not explain [s]."""
@@ -291,6 +285,7 @@ class Tracker:
         self._bad_hops = self._paused_us = 0
         self._usual = result.similarity
         self._doubt = None
+        self._suspicions.clear()
         self._slip = LOCK_STD_S**2 / SLIP_SHARE
         others = [*result.twins, *((result.track, tau_s) for tau_s in result.repeats)]
         self._rivals = [Rival(name, tau_s - result.tau_s) for name, tau_s in others[:RIVALS]]

@@ -264,6 +264,53 @@ def test_a_lock_asks_more_than_one_window_alone():
         assert learned().lock.of(seconds) > learned().accept.of(seconds) + 0.5
 
 
+def drum_loop(bpm, seconds=30.0):
+    """Return sixteenths of a drum machine that always plays the same pattern."""
+    rng = np.random.default_rng(0)
+    t = np.arange(round(0.25 * RATE)) / RATE
+    hiss = rng.standard_normal(len(t))
+    sounds = [
+        np.sin(2 * np.pi * 60.0 * t) * np.exp(-t / 0.08),  # kick
+        0.5 * (hiss + np.sin(2 * np.pi * 190.0 * t)) * np.exp(-t / 0.06),  # snare
+        0.4 * np.diff(hiss, append=0.0) * np.exp(-t / 0.02),  # hat
+        0.4 * np.sin(2 * np.pi * 840.0 * t) * np.exp(-t / 0.03),  # cowbell
+    ]
+    pattern = rng.integers(0, 6, 32)
+    loop = np.zeros(round(seconds * RATE) + RATE)
+    for step in range(int(seconds * bpm / 15.0)):
+        number = int(pattern[step % len(pattern)])
+        if number < len(sounds):
+            first = round(step * 15.0 / bpm * RATE)
+            loop[first : first + len(t)] += sounds[number]
+    return (0.2 * loop / np.abs(loop).max())[: round(seconds * RATE)].astype(np.float32)
+
+
+def test_a_brief_window_that_fits_only_at_another_speed_is_not_enough_for_a_lock():
+    """It may be another loop of the same drum machine; a longer one tells the speed."""
+    matcher = AlignmentMatcher()
+    matcher.add("loop", drum_loop(120.0), RATE)
+    for seed in range(3):
+        matcher.add(f"other{seed}", make_music(seed, 30.0), RATE)
+    slower = {"slower": drum_loop(114.0)}
+    brief = matcher.query(window(slower, "slower", 2.0, 2.0), RATE)
+    longer = matcher.query(window(slower, "slower", 2.0, 4.0), RATE)
+    assert (brief.track, longer.track) == ("loop", "loop")
+    assert brief.rate == longer.rate == pytest.approx(0.95)
+    assert brief.accepted and brief.confidence > 4.0 and brief.doubtful
+    assert longer.accepted and not longer.doubtful
+
+
+def test_a_brief_window_of_the_track_itself_is_enough_whatever_speed_fits_it_best(matcher, music):
+    results = [
+        matcher.query(window(music, name, start_s, 1.25), RATE)
+        for name in ("piece0", "piece1", "piece2")
+        for start_s in np.arange(3.0, 30.0, 0.7).tolist()
+    ]
+    off = [r for r in results if abs(r.rate - 1.0) > 0.02 and r.confidence > 3.0]
+    assert len(off) > 5
+    assert not any(r.doubtful for r in off)
+
+
 def test_another_pitch_does_not_cost_the_place(matcher, music):
     from downbeat.tools.conditions import pitch
 

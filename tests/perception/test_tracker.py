@@ -317,3 +317,17 @@ def test_who_knew_the_track_before_a_shared_passage_knows_it_in_the_passage(quot
     for time_s, state in rows:
         if time_s > 3.0:
             assert (state.lock, state.track) == (Lock.LOCKED, name)
+
+
+NOISE_TOO_LOUD = 0.21
+"""For any one window of these pieces to be enough for a lock."""
+
+
+def test_two_windows_that_share_no_sound_and_agree_are_a_lock(matcher, music):
+    """Where no single window is enough: without the second rule none of these ever locks."""
+    for name, seed in (("piece0", 0), ("piece0", 1), ("piece1", 0), ("piece1", 1)):
+        sound = in_noise(cut(music[name], 4.0, 10.0), seed, NOISE_TOO_LOUD)
+        rows = listen(matcher, sound)
+        time_s, state = next((t, s) for t, s in rows if s.lock == Lock.LOCKED)
+        assert state.track == name
+        assert position_s(time_s, state) == pytest.approx(4.0 + time_s, abs=0.06)
