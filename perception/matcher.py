@@ -46,7 +46,8 @@ TWIN_SHARE = 0.95
 SPEED_FRAMES, NEAR_SPEED, OWN_SPEED_SHARE = 30, 0.02, 0.85
 """A window shorter than 2.4 s hardly tells the speed. Half of those of 1.25 s that are right fit
 best at another than the track's own, but nearly as well at that: 0.93 of the similarity or more in
-99 of 100. A drum machine's loop that meets one of another tempo reaches 0.6 to 0.77 there."""
+99 of 100. A drum machine's loop that meets one of another tempo, played faster or slower, reaches
+0.6 to 0.77 at the speed and pitch of the recording."""
 MIN_WINDOW_FRAMES = 8
 
 
@@ -264,13 +265,13 @@ class AlignmentMatcher:
         )
 
     def _may_be_own(self, values: F32, best: Fit) -> bool:
-        """Say of a brief window whether it may be the track at its own speed; True of others."""
-        if len(values) >= SPEED_FRAMES or abs(best.rate - 1.0) <= NEAR_SPEED:
+        """Say if a brief window may be the track at its own speed and pitch; True of others."""
+        is_own = best.pitch == 1.0 and abs(best.rate - 1.0) <= NEAR_SPEED
+        if is_own or len(values) >= SPEED_FRAMES:
             return True
-        query = values if best.pitch == 1.0 else ft.shift_pitch(values, best.pitch)
         turned_s = 0.5 * (best.rate - 1.0) * (len(values) - 1) * ft.HOP_S  # about the middle
         first = round((best.tau_s + turned_s) / FINE_S) + PAD_FRAMES
-        own = self._aligner.align(Heard(query), best.track, first, CHECK_SEARCH, (1.0,))
+        own = self._aligner.align(Heard(values), best.track, first, CHECK_SEARCH, (1.0,))
         return own.similarity >= OWN_SPEED_SHARE * best.similarity
 
     def _twins_of(self, best: Fit, seconds: float, fits: list[Fit]) -> list[Fit]:
