@@ -21,7 +21,7 @@ from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, SILENT_PEAK, 
 from downbeat.perception.match import MatchResult, MusicMatcher, check_rate
 from downbeat.perception.passages import Twins
 from downbeat.perception.repeats import REPEAT_APART_S, like_places, repeats_of
-from downbeat.perception.verdict import Numbers, learned, measure
+from downbeat.perception.verdict import Numbers, agreement, is_bare, learned, measure
 
 __all__ = ["AlignmentMatcher", "MatchResult", "MusicMatcher"]
 
@@ -245,7 +245,8 @@ class AlignmentMatcher:
             return MatchResult(votes=len(values))
         seconds = len(values) * ft.HOP_S
         verdict = learned()
-        odds = verdict.log_odds(*self._evidence(values, best, others, chance))
+        evidence = self._evidence(values, best, others, chance)
+        odds = verdict.log_odds(*evidence)
         score = odds - float(verdict.accept.of(seconds))
         rival = next(iter(others), None)
         is_track = rival is not None and rival.track < len(self.names)
@@ -255,7 +256,9 @@ class AlignmentMatcher:
             rate=best.rate,
             confidence=score,
             accepted=score > 0.0 and not twins,
-            doubtful=odds <= float(verdict.lock.of(seconds)) or not self._may_be_own(values, best),
+            doubtful=odds <= float(verdict.lock.of(seconds))
+            or is_bare(agreement(*evidence[:2]))
+            or not self._may_be_own(values, best),
             similarity=best.similarity,
             runner_up=self.names[rival.track] if rival is not None and is_track else "",
             runner_up_confidence=rival.similarity if rival is not None else 0.0,

@@ -2,7 +2,8 @@
 
 One window is the best of all places of all tracks, and of a hundred thousand places some fit by
 chance. That a second window, of sound which the first did not hear, finds the same track where it
-must be by then, is no chance: of the strangers in the measurements of docs/matcher.md none did.
+must be by then, is no chance: of five hours of strangers only one that shares its beginning with
+the track was found so.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from downbeat.perception.match import MatchResult
 from downbeat.perception.track_state import Place
 
-LEAST_CONFIDENCE, LEAST_SUM = -2.0, -2.0
+LEAST_CONFIDENCE, LEAST_SUM = -1.5, -1.5
 """Of each of the two windows, and of both together."""
 MAX_RATE_OFF = 0.02
 """What fits at another speed only moves away from itself, and a drum machine's loop meets another
@@ -43,12 +44,8 @@ class Suspicions:
     def __init__(self) -> None:
         self._held: list[Suspicion] = []
 
-    def clear(self) -> None:
-        """Forget all: there is a lock, and what was before it is explained."""
-        self._held = []
-
     def confirm(self, result: MatchResult, place: Place, now: int, seconds: float) -> bool:
-        """Say whether an earlier window agrees with one that is not enough; remember it too.
+        """Say whether an earlier window agrees with this one; remember it too.
 
         Args:
             result: Of the window.

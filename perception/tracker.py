@@ -32,7 +32,8 @@ second of something else falls below the second figure."""
 DIP_USUAL, DIP_CHECK_S, DIP_SIMILARITY, DIP_SHARE = 0.7, 3.0, 0.13, 0.5
 """A weak second of a lock used to less than the first figure may be a dip: three seconds tell.
 Those of a wrong place stay below 0.09 in 99 of 100, and soon after a cut they have fallen below
-this share of what the lock has been used to."""
+this share of what the lock has been used to; three seconds that hold nothing from before are not
+asked for it: music may fade in its noise."""
 DIP_FRESH_S, DIP_FRESH_SIMILARITY = 1.45, 0.1
 """Of what came since the last good second this is asked, as soon as there is so much."""
 HOLD_SHARE = 0.6
@@ -166,12 +167,13 @@ class Tracker:
         if self._usual >= DIP_USUAL:
             return None
         fresh_s = min(self._fresh_s(ring, now), DIP_CHECK_S)
+        share = DIP_SHARE if fresh_s < DIP_CHECK_S else 0.0
         if fresh_s >= DIP_FRESH_S:
             fresh, _ = self._compare(ring, now, place, fresh_s)
             if fresh < DIP_FRESH_SIMILARITY:
                 return None
         longer, correction_s = self._compare(ring, now, place, DIP_CHECK_S)
-        if longer < max(DIP_SIMILARITY, DIP_SHARE * self._usual):
+        if longer < max(DIP_SIMILARITY, share * self._usual):
             return None
         self._last_held_utime = now
         return place.corrected(correction_s, now, 0.0)
@@ -265,7 +267,8 @@ class Tracker:
 
     def _is_enough(self, result: MatchResult, found: Place, now: int, seconds: float) -> bool:
         """Say whether a search is enough for a lock, by itself or with one before it."""
-        return _is_sure(result) or self._suspicions.confirm(result, found, now, seconds)
+        is_confirmed = self._suspicions.confirm(result, found, now, seconds)
+        return _is_sure(result) or is_confirmed
 
     def _fresh_s(self, ring: Ring, now: int) -> float:
         """Return how much sound there is that the last lock did not explain [s]."""
@@ -285,7 +288,6 @@ class Tracker:
         self._bad_hops = self._paused_us = 0
         self._usual = result.similarity
         self._doubt = None
-        self._suspicions.clear()
         self._slip = LOCK_STD_S**2 / SLIP_SHARE
         others = [*result.twins, *((result.track, tau_s) for tau_s in result.repeats)]
         self._rivals = [Rival(name, tau_s - result.tau_s) for name, tau_s in others[:RIVALS]]

@@ -55,6 +55,7 @@ BRIEF_BELOW, BRIEF_COST, BRIEF_SURE_FROM = 0.5, 3.0, 0.65
 be all there is. A tone's first moment stood 0.9 above the second for a piece of single sounds: such
 windows are sure only from the last lead on, and pay what twenty times as many strangers of their
 kind among the learned ones would make them pay, as a stage with such a piece hears nothing else."""
+LEAST_SPECTRA = 2.0
 _LASTING_FLOOR = 1e-3
 _LEVEL_OF_INT8 = np.clip(
     (np.arange(-128, 128) / QUANTUM - ft.CLIP_LOW) / LEVEL_STEP, 0, LEVELS - 1
@@ -164,6 +165,15 @@ def variety(agreed: F32) -> float:
     products = agreed @ agreed.T
     most = float(np.square(products).sum())
     return max(float(np.trace(products)) ** 2 / most, 1.0) if most > 0.0 else 1.0
+
+
+def is_bare(agreed: F32) -> bool:
+    """Say whether what agrees may be the beginning of one note: any test tone of its pitch has it.
+
+    Args:
+        agreed: (w, NUM_BANDS) `agreement`.
+    """
+    return share_that_agrees(agreed) < BRIEF_BELOW and variety(agreed) < LEAST_SPECTRA
 
 
 def with_length(measures: F64, frames: npt.NDArray[np.int64] | int) -> F64:

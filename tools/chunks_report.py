@@ -239,7 +239,8 @@ def _print_streams(console: Console, report: ChunkReport) -> None:
         console.print(
             f"listener, {name}, clips of 10 s: right at the end {100.0 * shares['right']:.1f} % of "
             f"{score.n} ({100.0 * shares['held']:.1f} % with those in doubt just then), "
-            f"wrong {100.0 * shares['wrong']:.1f} %; first lock p50 {_figure(lock['p50'], ' s')}, "
+            f"wrong {100.0 * shares['wrong']:.1f} %; {score.ended} more end in silence; "
+            f"first lock p50 {_figure(lock['p50'], ' s')}, "
             f"p95 {_figure(lock['p95'], ' s')}",
             highlight=False,
             soft_wrap=True,

@@ -12,12 +12,13 @@ from downbeat.lcm_types import music_match_t
 from downbeat.perception.features import F32
 from downbeat.perception.matcher import AlignmentMatcher, MatchResult
 from downbeat.perception.source import Recording
-from downbeat.tools.chunks_make import Query
+from downbeat.tools.chunks_make import Query, is_silent
 from downbeat.tools.chunks_score import ConditionScore
 from downbeat.tools.conditions import Degradation, pink, reverb, speed
 from downbeat.tools.matcher_cuts import Heard, listen
 
-CLIP_S = 10.0
+CLIP_S, END_S = 10.0, 1.0
+"""Clips whose last part is silent are not asked."""
 PART_S = (4.0, 12.0)
 """A foreign stream is made of parts of this length."""
 LEVEL = 0.1
@@ -53,6 +54,7 @@ class StreamScore:
         right: Locked on the right track at the right place when the clip ends.
         held: As `right`, or in doubt at that moment, with the place still known.
         wrong: Locked elsewhere then.
+        ended: Not among them: the music is over before the clip is, and a lock would be wrong.
         lock_s: From the start of a clip to the first lock on its track [s]; inf: none.
     """
 
@@ -60,6 +62,7 @@ class StreamScore:
     right: int = 0
     held: int = 0
     wrong: int = 0
+    ended: int = 0
     lock_s: list[float] = field(default_factory=list)
 
     def shares(self) -> dict[str, Any]:
@@ -72,6 +75,7 @@ class StreamScore:
             "right": round(self.right / count, 4),
             "held": round(self.held / count, 4),
             "wrong": round(self.wrong / count, 4),
+            "ended": self.ended,
             "first_lock_s": {"p50": p50, "p95": p95},
         }
 
@@ -86,9 +90,9 @@ def _quantile(waits: np.ndarray, share: float) -> float | None:
 
 
 def clips(
-    recording: Recording, degradation: Degradation, count: int, seed: int
+    recording: Recording, degradation: Degradation, count: int, seed: int, score: StreamScore
 ) -> Iterator[tuple[float, Recording]]:
-    """Cut clips anywhere in a track, (start [s], clip)."""
+    """Cut clips anywhere in a track, (start [s], clip), and count those that end in silence."""
     room_s = recording.duration_s - CLIP_S
     rng = np.random.default_rng([seed, len(recording.samples)])
     for _ in range(count if room_s > 0.0 else 0):
@@ -96,6 +100,9 @@ def clips(
         first = round(float(rng.uniform(0.0, room_s)) * rate)
         part = recording.samples[first : first + round(CLIP_S * rate)]
         heard = degradation.apply(part, rate, rng)
+        if is_silent(part[-round(END_S * rate) :]):
+            score.ended += 1
+            continue
         yield first / rate, Recording(recording.name, heard, rate)
 
 

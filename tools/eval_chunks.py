@@ -202,7 +202,8 @@ class ChunkStudy:
         for name in tenths(names, "clips heard"):
             for degradation in wanted:
                 score = report.streams.setdefault(degradation.name, StreamScore())
-                made = clips(self.recordings[name], degradation, options.clips, options.seed)
+                count, seed = options.clips, options.seed
+                made = clips(self.recordings[name], degradation, count, seed, score)
                 for start_s, clip in made:
                     hear_clip(matcher, start_s, clip, self.places.judge, score, report.cost)
         if not options.foreign_s:

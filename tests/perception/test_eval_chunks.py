@@ -24,6 +24,7 @@ from downbeat.tools.chunks_stream import (
     ForeignStream,
     Part,
     StreamScore,
+    clips,
     count_locks,
     foreign_stream,
 )
@@ -333,6 +334,22 @@ def test_clips_without_a_lock_have_no_time_to_it():
     assert score.shares()["first_lock_s"] == {"p50": None, "p95": None}
     score = StreamScore(n=3, lock_s=[1.0, float("inf"), 2.0])
     assert score.shares()["first_lock_s"] == {"p50": 2.0, "p95": None}
+
+
+def test_a_clip_that_outlasts_its_music_is_counted_apart():
+    music = make_music(0, 30.0)
+    fading = np.concatenate([music[: 12 * RATE], np.zeros(18 * RATE, np.float32)])
+    degradation = next(d for d in degradations(None) if d.name == "white10")
+    for samples, least, most in ((music, 0, 0), (fading, 1, 39)):
+        score = StreamScore()
+        piece = Recording("piece", samples, RATE)
+        heard = list(clips(piece, degradation, 40, 3, score))
+        assert len(heard) + score.ended == 40
+        assert least <= score.ended <= most
+        for start_s, clip in heard:
+            end = round((start_s + 10.0) * RATE)
+            assert np.abs(samples[end - RATE : end]).max() > 1e-3
+            assert len(clip.samples) == 10 * RATE
 
 
 def test_a_lock_on_a_foreign_stream_is_told_with_what_played():

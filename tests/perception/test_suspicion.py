@@ -67,13 +67,6 @@ def test_what_was_heard_long_ago_is_forgotten():
     assert not ask(WEAK, now=3 * SECOND + MEMORY_US)
 
 
-def test_a_lock_forgets_what_was_before_it():
-    suspicions = Suspicions()
-    suspicions.confirm(WEAK, place(-20.0, 3 * SECOND), 3 * SECOND, 2.0)
-    suspicions.clear()
-    assert not suspicions.confirm(WEAK, place(-20.0, 6 * SECOND), 6 * SECOND, 2.0)
-
-
 @given(st.floats(-8.0, 4.0), st.floats(-8.0, 4.0))
 def test_neither_window_may_be_weak_and_both_together_not_either(first, second):
     result = ask(replace(WEAK, confidence=second), first=replace(WEAK, confidence=first))
