@@ -46,6 +46,9 @@ OFFBEAT_MEMORY_S = 24.0
 """For the choice between a beat and its offbeat they count for so long: music changes its tempo
 when another piece begins, but it hardly ever moves by half a beat, though a fill or a bare hi-hat
 speaks for that for many seconds."""
+CLEAR_ON, CLEAR_OFF = 0.5, 0.3
+"""Over that time a steady beat must stand so much above its offbeat, to become one and to stay one:
+of those that do not, more than every third was wrong."""
 EDGE = 1.03
 """80.0 BPM does not become 160 because it was measured as 79.9."""
 SLACK = 1.005
@@ -113,13 +116,14 @@ class BeatFollower:
         self._scores = np.zeros((NUM_TEMPOS, NUM_PHASES))
         self._scores_weight = 0.0
         self._long = np.zeros_like(self._scores)
+        self._long_weight = 0.0
         self._line: BeatLine | None = None
         self._octave = 1.0
         self._witness = Witness(LOOK_S)
         self.evidence: F64 | None = None
         self._confidence = 0.0
         self._lead = self._sure = self._unsure = 0
-        self._steady = False
+        self._steady = self._clear = False
         self._heard = 0
         self._steps = 0
         self._zero_utime: int | None = None
@@ -185,6 +189,7 @@ class BeatFollower:
         self._scores_weight = keep * self._scores_weight + 1.0 - keep
         keep = math.exp(-LOOK_S / OFFBEAT_MEMORY_S)
         self._long = keep * _turn(self._long, LOOK_S) + (1.0 - keep) * score
+        self._long_weight = keep * self._long_weight + 1.0 - keep
         if self._equaliser.activity < MIN_ACTIVITY:
             self._line, self._confidence, self._steady = None, 0.0, False
             return
@@ -212,10 +217,8 @@ class BeatFollower:
             return
         mine = _same_beat(self._line, now_s)
         leads = bool(scores.max() > scores[mine].max(initial=-np.inf) + CHALLENGE)
-        between = replace(self._line, beat_s=self._line.beat_s + 0.5 * self._line.period_s)
-        offbeat = _same_beat(between, now_s)
-        if leads and offbeat[best]:
-            leads = bool(self._long[offbeat].max() > self._long[mine].max(initial=-np.inf))
+        if leads and _same_beat(_offbeat(self._line), now_s)[best]:
+            leads = self._lead_over_offbeat(mine, now_s) < 0.0
         self._lead = self._lead + 1 if leads else 0
         bpm = 60.0 / self._line.period_s
         lost = not MIN_BPM / SLACK <= bpm <= MAX_BPM * SLACK
@@ -235,6 +238,21 @@ class BeatFollower:
             self._steady = True
         elif self._unsure >= STEADY_LOOKS:
             self._steady = False
+        lead = self._lead_over_offbeat(mine, now_s)
+        self._clear = lead >= (CLEAR_OFF if self._clear else CLEAR_ON)
+        self._steady = self._steady and self._clear
+
+    def _lead_over_offbeat(self, mine: np.ndarray, now_s: float) -> float:
+        """Return how far the beat stands above its offbeat over OFFBEAT_MEMORY_S."""
+        assert self._line is not None
+        scores = self._long / self._long_weight
+        other = scores[_same_beat(_offbeat(self._line), now_s)]
+        least = float(scores.min())
+        return float(scores[mine].max(initial=least) - other.max(initial=least))
+
+
+def _offbeat(line: BeatLine) -> BeatLine:
+    return replace(line, beat_s=line.beat_s + 0.5 * line.period_s)
 
 
 def _turn(scores: F64, seconds: float) -> F64:

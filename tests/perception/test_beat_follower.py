@@ -117,6 +117,24 @@ def test_music_that_stays_on_the_other_half_beat_is_followed_there():
     assert error_s(follower.beat(ZERO + 60_000_000), 120.0, 0.25) < 0.03
 
 
+@pytest.mark.parametrize("hits_a_minute", [200.0, 220.0, 240.0, 300.0])
+def test_hits_that_are_all_alike_have_no_steady_beat_most_of_the_time(hits_a_minute):
+    """Which of them is the beat, and which the offbeat, nobody can say."""
+    rng = np.random.default_rng(0)
+    hit = 0.3 * rng.standard_normal(1600) * np.exp(-np.arange(1600) / 320.0)
+    sound = 0.002 * rng.standard_normal(30 * 16_000)
+    for number in range(int(29.0 * hits_a_minute / 60.0)):
+        first = round(number * 60.0 / hits_a_minute * 16_000)
+        sound[first : first + len(hit)] += hit
+    follower = BeatFollower()
+    steady = []
+    for first in range(0, len(sound), 800):
+        follower.hear(sound[first : first + 800].astype(np.float32), ZERO + first * 125 // 2)
+        beat = follower.beat(ZERO + first * 125 // 2)
+        steady.append(beat is not None and beat.is_steady)
+    assert np.mean(steady) < 0.5
+
+
 def test_the_template_scores_as_its_features_say():
     rng = np.random.default_rng(11)
     bank = RhythmBank()
