@@ -53,7 +53,7 @@ FIRST_S = 2.0
 RIGHT_TEMPO, RIGHT_S = 0.0125, 0.03
 TEMPO_STRIDE = 4
 """Every fourth tempo is enough to learn from; some of them are always right."""
-HIDDEN = 12
+HIDDEN = 24
 EPOCHS, BATCH, DECAY = 8, 32, 1e-2
 RATE, HIDDEN_RATE = 0.05, 0.0075
 AVERAGE = 0.99
