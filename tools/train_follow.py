@@ -254,7 +254,7 @@ def main(options: Options) -> None:
 
 
 def _rounded(values: F64) -> list[Any]:
-    short: list[Any] = np.vectorize(lambda v: float(f"{v:.5g}"))(values).tolist()
+    short: list[Any] = np.vectorize(lambda v: float(f"{v:.4g}"))(values).tolist()
     return short
 
 
