@@ -46,7 +46,7 @@ OFFBEAT_MEMORY_S = 24.0
 """For the choice between a beat and its offbeat they count for so long: music changes its tempo
 when another piece begins, but it hardly ever moves by half a beat, though a fill or a bare hi-hat
 speaks for that for many seconds."""
-CLEAR_ON, CLEAR_OFF = 0.4, 0.2
+CLEAR_ON, CLEAR_OFF = 0.35, 0.15
 """Over that time a steady beat must stand so much above its offbeat, to become one and to stay one:
 of those that do not, more than every third was wrong."""
 EDGE = 1.03
