@@ -17,7 +17,7 @@ from downbeat.tools.show import Show, ShowConfig, make_control
 TICK_US = 20_000
 WARM_TICKS = 6_600
 """Black box and queues hold the last 10 s and turn over; measured: flat from 6000 ticks on."""
-TICKS = 5_000
+TICKS, SPANS = 5_000, 3
 SKILLS = ("kpop", "stand", "thriller", "discostep")
 
 
@@ -55,6 +55,13 @@ class Stage:
         self.conductor.publish("SKILL_REQUEST", msg)
 
 
+def growth_of(stage):
+    """Return how many blocks and how much memory [kB] TICKS leave behind."""
+    blocks, memory_kb = sys.getallocatedblocks(), own_usage().memory_kb
+    stage.run(TICKS)
+    return sys.getallocatedblocks() - blocks, own_usage().memory_kb - memory_kb
+
+
 def test_five_thousand_ticks_leave_nothing_behind(tmp_path):
     stage = Stage(tmp_path)
     gc.collect()
@@ -62,16 +69,13 @@ def test_five_thousand_ticks_leave_nothing_behind(tmp_path):
     try:
         stage.run(WARM_TICKS)
         stage.run(TICKS)  # the allocator's own pages, in whatever process this is
-        blocks, memory_kb = sys.getallocatedblocks(), own_usage().memory_kb
-        stage.run(TICKS)
-        more_blocks = sys.getallocatedblocks() - blocks
-        more_kb = own_usage().memory_kb - memory_kb
+        more_blocks, more_kb = zip(*(growth_of(stage) for _ in range(SPANS)), strict=True)
     finally:
         gc.enable()
         stage.journal.close()
     # One object left per tick would be 5000 blocks; 170 come and go with what the box holds.
-    assert more_blocks < 1_000
-    assert more_kb < 500
+    assert max(more_blocks) < 1_000
+    assert min(more_kb) < 500  # what is left behind is left in every span; a page is not
 
 
 def test_policies_start_no_threads_that_could_spin():
