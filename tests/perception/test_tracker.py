@@ -351,3 +351,25 @@ def test_two_windows_that_share_no_sound_and_agree_are_a_lock(matcher, music):
         time_s, state = next((t, s) for t, s in rows if s.lock == Lock.LOCKED)
         assert state.track == name
         assert position_s(time_s, state) == pytest.approx(4.0 + time_s, abs=0.06)
+
+
+@pytest.mark.parametrize("name, seed", [("piece0", 0), ("piece1", 0), ("piece1", 2)])
+def test_what_was_heard_before_a_lock_that_was_lost_still_counts(matcher, music, name, seed):
+    """Who had to hear two windows to lock, and is drowned at once, needs one afterwards."""
+    sound = in_noise(cut(music[name], 4.0, 16.0), seed, 0.19)
+    locked_s = first_lock(listen(matcher, sound), name, 0.0)
+    drowned = slice(round((locked_s + 0.25) * RATE), round((locked_s + 2.25) * RATE))
+    sound[drowned] = in_noise(np.zeros(drowned.stop - drowned.start, np.float32), 99, 0.4)
+    rows = listen(matcher, sound)
+    assert any(state.lock != Lock.LOCKED for time_s, state in rows if time_s > locked_s)
+    assert first_lock(rows, name, locked_s + 2.25) < locked_s + 2.25 + 4.0
+
+
+@pytest.mark.parametrize("level, fall_db", [(0.06, 14.0), (0.1, 10.0)])
+def test_music_that_fades_in_its_noise_is_held(matcher, music, level, fall_db):
+    sound = cut(music["piece1"], 4.0, 16.0)
+    falling = np.clip((np.arange(len(sound)) / RATE - 5.0) / 3.0, 0.0, 1.0)
+    faded = (sound * 10.0 ** (-falling * fall_db / 20.0)).astype(np.float32)
+    rows = listen(matcher, in_noise(faded, 1, level))
+    after = [state.lock == Lock.LOCKED for time_s, state in rows if time_s > 8.0]
+    assert sum(after) > len(after) / 2
