@@ -56,6 +56,7 @@ be all there is. A tone's first moment stood 0.9 above the second for a piece of
 windows are sure only from the last lead on, and pay what twenty times as many strangers of their
 kind among the learned ones would make them pay, as a stage with such a piece hears nothing else."""
 LEAST_SPECTRA = 2.0
+"""Where fewer different spectra agree, and that briefly, it may be one note."""
 _LASTING_FLOOR = 1e-3
 _LEVEL_OF_INT8 = np.clip(
     (np.arange(-128, 128) / QUANTUM - ft.CLIP_LOW) / LEVEL_STEP, 0, LEVELS - 1
