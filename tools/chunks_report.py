@@ -12,7 +12,7 @@ from rich.table import Table
 
 from downbeat.tools.chunks_paper import PAPER_ACCURACY, PaperScore
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts
-from downbeat.tools.chunks_stream import Cost, StreamScore
+from downbeat.tools.chunks_stream import Cost, LockCount, StreamScore
 from downbeat.tools.console import some
 
 SHORT_S = 3.0
@@ -67,7 +67,7 @@ class ChunkReport:
     paper: dict[str, PaperScore] = field(default_factory=dict)
     paper_shifts: int = 0
     streams: dict[str, StreamScore] = field(default_factory=dict)
-    false_locks: dict[str, tuple[float, list[str]]] = field(default_factory=dict)
+    false_locks: dict[str, LockCount] = field(default_factory=dict)
     cost: Cost = field(default_factory=Cost)
 
     def as_json(self) -> dict[str, Any]:
@@ -86,10 +86,7 @@ class ChunkReport:
             "paper": {name: score.shares() for name, score in self.paper.items()},
             "paper_shifts": self.paper_shifts,
             "listener": {name: score.shares() for name, score in self.streams.items()},
-            "false_locks": {
-                name: {"minutes": round(seconds / 60.0, 1), "locks": len(locks), "which": locks}
-                for name, (seconds, locks) in self.false_locks.items()
-            },
+            "false_locks": {name: count.as_json() for name, count in self.false_locks.items()},
             "listener_share_of_a_core": round(self.cost.share, 4),
             "catalogue": {
                 "tracks": self.catalogue,
@@ -247,7 +244,9 @@ def _print_streams(console: Console, report: ChunkReport) -> None:
         )
     if report.cost.heard_s:
         console.print(f"listener: {100.0 * report.cost.share:.1f} % of a core", highlight=False)
-    for name, (seconds, locks) in report.false_locks.items():
-        said = f"false locks in {seconds / 60.0:g} min of {name}: {len(locks)}"
-        line = f"{said}; {some(locks, MOST_WRONG)}" if locks else said
+    for name, count in report.false_locks.items():
+        line = f"false locks in {count.seconds / 60.0:g} min of {name}: {len(count.locks)}"
+        line += f"; {some(count.locks, MOST_WRONG)}" if count.locks else ""
+        if count.elsewhere:
+            line += f"; on the identical recording under another name: {len(count.elsewhere)}"
         console.print(line, highlight=False, soft_wrap=True)

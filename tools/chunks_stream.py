@@ -24,7 +24,11 @@ PART_S = (4.0, 12.0)
 LEVEL = 0.1
 """RMS of each part."""
 
+HEARD_S = 5.0
+"""So much before a lock is compared with its track, or what there was of the sound."""
+
 Judge = Callable[[Query, MatchResult, ConditionScore], bool]
+SameSound = Callable[[Query, MatchResult], bool]
 
 
 @dataclass
@@ -155,6 +159,10 @@ class Part:
     from_s: float
     factor: float
 
+    def at(self, at_s: float) -> float:
+        """Return where in the sound it is at a second of the stream [s]."""
+        return self.from_s + (at_s - self.start_s) * self.factor
+
 
 @dataclass(frozen=True)
 class ForeignStream:
@@ -163,10 +171,39 @@ class ForeignStream:
     sound: Recording
     parts: Sequence[Part]
 
+    def part_at(self, at_s: float) -> Part:
+        """Return what plays at a second of the stream."""
+        return next(p for p in reversed(self.parts) if p.start_s <= at_s or p is self.parts[0])
+
     def playing(self, at_s: float) -> str:
         """Say what plays at a second of the stream: "NAME at SECOND", both of the sound's own."""
-        part = next(p for p in reversed(self.parts) if p.start_s <= at_s or p is self.parts[0])
-        return f"{part.name} at {part.from_s + (at_s - part.start_s) * part.factor:.1f} s"
+        part = self.part_at(at_s)
+        return f"{part.name} at {part.at(at_s):.1f} s"
+
+
+@dataclass
+class LockCount:
+    """Locks taken on sound that the catalogue lacks, as text: what played, taken for what.
+
+    Attributes:
+        seconds: Sound heard [s].
+        locks: False ones.
+        elsewhere: Not among them: taken for a track that holds the identical recording there.
+    """
+
+    seconds: float = 0.0
+    locks: list[str] = field(default_factory=list)
+    elsewhere: list[str] = field(default_factory=list)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return counts and names."""
+        return {
+            "minutes": round(self.seconds / 60.0, 1),
+            "locks": len(self.locks),
+            "which": self.locks,
+            "same_recording_elsewhere": len(self.elsewhere),
+            "elsewhere": self.elsewhere,
+        }
 
 
 def foreign_stream(sounds: Sequence[Recording], seconds: float, seed: int) -> ForeignStream:
@@ -200,18 +237,34 @@ def foreign_stream(sounds: Sequence[Recording], seconds: float, seed: int) -> Fo
     return ForeignStream(Recording("foreign", np.concatenate(made), rate), parts)
 
 
-def count_locks(matcher: AlignmentMatcher, stream: ForeignStream, cost: Cost) -> list[str]:
-    """Return every lock that the listener takes on a stream, as text: what played, taken for what.
+def count_locks(
+    matcher: AlignmentMatcher,
+    stream: ForeignStream,
+    is_same_sound: SameSound,
+    count: LockCount,
+    cost: Cost,
+) -> None:
+    """Count every lock that the listener takes on a stream.
 
     What was heard before counts as well: a lock early in a part may be owed to the one before.
     """
     heard, spent_s = listen(matcher, stream.sound)
     cost.add(spent_s, stream.sound)
-    locks = []
+    count.seconds += stream.sound.duration_s
     before = ""
     for hop in heard:
         now = hop.track if hop.lock == music_match_t.LOCKED else ""
         if now not in ("", before):
-            locks.append(f"{stream.playing(hop.time_s)} taken for {now}")
+            is_same = _is_of_same_sound(hop, stream.part_at(hop.time_s), is_same_sound)
+            which = count.elsewhere if is_same else count.locks
+            which.append(f"{stream.playing(hop.time_s)} taken for {now}")
         before = now
-    return locks
+
+
+def _is_of_same_sound(hop: Heard, part: Part, is_same_sound: SameSound) -> bool:
+    """Compare what a lock has heard of a part with what its track holds there."""
+    playing_s = part.at(hop.time_s)
+    back_s = min(HEARD_S, playing_s - part.from_s)
+    query = Query("", part.name, playing_s - back_s, 0.0, np.zeros(0, np.float32), False)
+    tau_s = hop.time_s - hop.track_zero_s - back_s
+    return is_same_sound(query, MatchResult(track=hop.track, tau_s=tau_s, accepted=True))

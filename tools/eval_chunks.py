@@ -55,6 +55,7 @@ from downbeat.tools.chunks_report import (
 )
 from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
 from downbeat.tools.chunks_stream import (
+    LockCount,
     StreamScore,
     clips,
     count_locks,
@@ -209,18 +210,19 @@ class ChunkStudy:
         if not options.foreign_s:
             return
         share_s = options.foreign_s / len(self.recordings)
-        locks: list[str] = []
+        is_same, cost = self.places.is_same_sound, report.cost
+        music = report.false_locks[MUSIC] = LockCount()
         for number, name in enumerate(tenths(list(self.recordings), "foreign music heard")):
             rest = [i for i in range(len(self.index.names)) if i != number]
             seed = options.seed + number
             stream = foreign_stream([self.recordings[name]], share_s, seed)
-            locks += count_locks(AlignmentMatcher(self.index.subset(rest)), stream, report.cost)
-        report.false_locks[MUSIC] = (options.foreign_s, locks)
+            others = AlignmentMatcher(self.index.subset(rest))
+            count_locks(others, stream, is_same, music, cost)
         say(f"hearing {options.foreign_s / 60.0:g} min of {NO_MUSIC}")
         sounds = [*self.voices, *self.others, *synthetic_sounds(10.0)]
         stream = foreign_stream(sounds, options.foreign_s, options.seed)
-        locks = count_locks(matcher, stream, report.cost)
-        report.false_locks[NO_MUSIC] = (options.foreign_s, locks)
+        noise = report.false_locks[NO_MUSIC] = LockCount()
+        count_locks(matcher, stream, is_same, noise, cost)
 
     def _refuse(
         self,

@@ -22,6 +22,7 @@ from downbeat.tools.chunks_score import ConditionScore, FalseAccepts, Places
 from downbeat.tools.chunks_stream import (
     Cost,
     ForeignStream,
+    LockCount,
     Part,
     StreamScore,
     clips,
@@ -357,10 +358,32 @@ def test_a_lock_on_a_foreign_stream_is_told_with_what_played():
     heard = np.concatenate([np.zeros(3 * RATE, np.float32), music[1].samples[5 * RATE : 17 * RATE]])
     parts = [Part(0.0, "pause", 0.0, 1.0), Part(3.0, "cover", 5.0, 1.0)]
     stream = ForeignStream(Recording("foreign", heard, RATE), parts)
-    (lock,) = count_locks(AlignmentMatcher(make_index(music)), stream, Cost())
+    count = LockCount()
+    matcher = AlignmentMatcher(make_index(music))
+    count_locks(matcher, stream, lambda query, result: False, count, Cost())
+    (lock,) = count.locks
+    assert not count.elsewhere
     name, at_s, taken_for = re.fullmatch(r"(\w+) at ([\d.]+) s taken for (\w+)", lock).groups()
     assert (name, taken_for) == ("cover", "piece1")
     assert 5.5 < float(at_s) < 10.0
+
+
+@pytest.mark.parametrize("is_copy", [True, False])
+def test_a_lock_on_the_identical_recording_under_another_name_is_counted_apart(is_copy):
+    """Else it is the same notes in another room: as like to the matcher, and no copy."""
+    music = [Recording(f"piece{seed}", make_music(seed, 24.0), RATE) for seed in range(2)]
+    played = music[1].samples
+    if not is_copy:
+        room = np.random.default_rng(1).normal(size=RATE // 20)
+        played = fftconvolve(played, room / np.linalg.norm(room))[: len(played)].astype(np.float32)
+    parts = [Part(0.0, "cover", 5.0, 1.0)]
+    stream = ForeignStream(Recording("foreign", played[5 * RATE : 17 * RATE], RATE), parts)
+    sounds = {"cover": played, **{piece.name: piece.samples for piece in music}}
+    places = Places({name: ft.to_matcher_rate(s, RATE) for name, s in sounds.items()})
+    count = LockCount()
+    matcher = AlignmentMatcher(make_index(music))
+    count_locks(matcher, stream, places.is_same_sound, count, Cost())
+    assert (len(count.locks), len(count.elsewhere)) == ((0, 1) if is_copy else (1, 0))
 
 
 def test_where_a_sound_of_a_foreign_stream_comes_from_is_known_to_the_second():
