@@ -6,21 +6,21 @@ Fine: one Gram matrix query x reference; every (offset, rate) hypothesis is a li
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 from numpy.lib.stride_tricks import as_strided
 
 from downbeat.perception import features as ft
+from downbeat.perception.best_places import I64, best_places
 from downbeat.perception.features import F32
 from downbeat.perception.index import FINE_PER_COARSE, PAD_FRAMES, QUANTUM, Coarse, Fine, Power
 from downbeat.perception.index import coarse as coarse_of
 
-I64 = npt.NDArray[np.int64]
 FINE_S = ft.HOP_S / 2.0
 """40 ms: the grid of the reference."""
 RATES = (1.0, 0.99, 1.01, 0.98, 1.02, 0.97, 1.03, 0.96, 1.04, 0.95, 1.05)
@@ -163,7 +163,7 @@ class FineAligner:
         """Take the fine features of each track, (n_i, NUM_BANDS), and their power, (n_i,)."""
         self._fine = fine
         self._power = power
-        self._energy: dict[int, npt.NDArray[np.float64]] = {}
+        self._usual: dict[int, float] = {}  # power of a frame of a track
 
     def align(
         self,
@@ -183,7 +183,7 @@ class FineAligner:
             rates: Rates to try.
         """
         frames, energy = heard.frames, heard.energy
-        columns, margin = _lines(frames, search, rates)
+        columns, met, margin = _lines(frames, search, rates)
         groups, span = len(heard.groups), 2 * ROWS + 2 * margin
         reference = self._reference(track, first - margin, 2 * ROWS * (groups - 1) + span)
         along, across = reference.strides
@@ -193,14 +193,15 @@ class FineAligner:
         )
         gram = heard.groups @ near  # (g, ROWS, span)
         taken = gram.ravel().take(columns, mode="clip")  # (frames, rates * offsets)
-        scores = taken.sum(0).reshape(len(rates), -1)  # (rates, offsets)
+        power = self._power_from(track, first - margin, len(reference)).astype(np.float32)
+        # Of every line its own: chords that last are alike all along, and the loudest would win.
+        norms = np.sqrt(power.take(met).sum(0))  # (rates * offsets,)
+        scores = taken.sum(0) / np.maximum(norms, self._least_norm(track, frames))
+        scores = scores.reshape(len(rates), -1)
         r, d = np.unravel_index(int(scores.argmax()), scores.shape)
-        reference_energy = self._energy_at(track, first, frames)
-        usual = self._energy_of(track)[-1] / len(self._fine[track]) * 2 * frames
-        norm = max(reference_energy, QUIET_SHARE * usual, 1.0) * max(energy, 1e-9)
         # Between the frames of the reference: half a frame off costs what tells two repeats apart.
         off, top = vertex(scores[r], int(d))
-        similarity = min(top / float(np.sqrt(norm)), 1.0)
+        similarity = min(top / math.sqrt(max(energy, 1e-9)), 1.0)
         rate = rates[int(r)]
         # The line turns about the middle of the window; at another rate the start moves.
         turned = (frames - 1) * (1.0 - rate)
@@ -233,26 +234,30 @@ class FineAligner:
             reference[low - begin : high - begin] = fine[low:high]
         return reference
 
-    def _energy_of(self, track: int) -> npt.NDArray[np.float64]:
-        """Return the running sum of the power of a track, (n + 1,), made when first asked for."""
-        if track not in self._energy:
-            # Half: the reference has two frames where the query has one.
-            total = np.cumsum(self._power[track], dtype=np.float64) / 2.0
-            self._energy[track] = np.concatenate([[0.0], total])
-        return self._energy[track]
+    def _power_from(self, track: int, begin: int, length: int) -> Power:
+        """Return the power of `length` frames from `begin`, 0 beyond the ends, (length,)."""
+        power = self._power[track]
+        low, high = max(begin, 0), min(begin + length, len(power))
+        if low == begin and high == begin + length:
+            return power[begin:high]
+        found = np.zeros(length, np.int32)
+        if high > low:
+            found[low - begin : high - begin] = power[low:high]
+        return found
 
-    def _energy_at(self, track: int, first: int, frames: int) -> float:
-        energy = self._energy_of(track)
-        low = min(max(first, 0), len(energy) - 1)
-        return float(energy[min(low + 2 * frames, len(energy) - 1)] - energy[low])
+    def _least_norm(self, track: int, frames: int) -> float:
+        if track not in self._usual:
+            self._usual[track] = max(float(self._power[track].mean(dtype=np.float64)), 1e-9)
+        return math.sqrt(max(QUIET_SHARE * self._usual[track] * frames, 1.0))
 
 
 @lru_cache(maxsize=64)
-def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, int]:
+def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, I64, int]:
     """Return the lines through the Gram matrix as flat places in it, and its margin.
 
     Returns:
-        (frames, rates * offsets) indices into the flattened (g, ROWS, 2 ROWS + 2 margin) matrix.
+        (frames, rates * offsets) indices into the flattened (g, ROWS, 2 ROWS + 2 margin) matrix;
+        the frames of the reference that they meet, from its first on; and the margin.
     """
     centre = (frames - 1) / 2.0
     steepest = max(abs(rate - 1.0) for rate in rates)
@@ -264,7 +269,8 @@ def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, int
     # In its group, the first column is that of the group's first frame.
     begin = rows * (2 * ROWS + 2 * margin) - 2 * ROWS * (rows // ROWS)
     places = begin + columns  # (rates, offsets, frames)
-    return np.ascontiguousarray(places.reshape(-1, frames).T), margin
+    flat = (np.ascontiguousarray(table.reshape(-1, frames).T) for table in (places, columns))
+    return *flat, margin
 
 
 def vertex(scores: F32, peak: int) -> tuple[float, float]:
@@ -278,25 +284,3 @@ def vertex(scores: F32, peak: int) -> tuple[float, float]:
         return 0.0, middle
     off = 0.5 * (left - right) / curvature
     return off, middle - 0.25 * (left - right) * off
-
-
-def best_places(scores: F32, count: int) -> I64:
-    """Return the places of the `count` highest scores, best first."""
-    count = min(count, len(scores))
-    best = np.argpartition(scores, len(scores) - count)[len(scores) - count :]
-    return best[np.argsort(-scores[best], kind="stable")]
-
-
-def spread_out(ranked: I64, track_of: I64, count: int, per_track: int) -> I64:
-    """Return the first `count` places, at most `per_track` of a track, no two adjacent."""
-    kept: list[int] = []
-    used: dict[int, int] = {}
-    for place in ranked.tolist():
-        track = int(track_of[place])
-        if used.get(track, 0) >= per_track or any(abs(place - k) <= 1 for k in kept):
-            continue
-        kept.append(place)
-        used[track] = used.get(track, 0) + 1
-        if len(kept) == count:
-            break
-    return np.array(kept, np.int64)

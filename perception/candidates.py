@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from downbeat.perception.alignment import QUIET_SHARE, CoarseScan, FineAligner, best_places
+from downbeat.perception.alignment import QUIET_SHARE, CoarseScan, FineAligner
+from downbeat.perception.best_places import best_places
 from downbeat.perception.codes import CodeTable, make_code_table, query_codes
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32, NUM_BANDS

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from downbeat.perception import features as ft
-from downbeat.perception.alignment import FINE_S, I64, RATES, Fit, Heard, spread_out
+from downbeat.perception.alignment import FINE_S, RATES, Fit, Heard
+from downbeat.perception.best_places import I64, spread_out
 from downbeat.perception.candidates import MAX_SCANNED_TRACKS, prepare
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.features import F32
@@ -43,11 +44,11 @@ at another, so that 1 is tried too."""
 TWIN_SHARE = 0.95
 """A track that shares the passage and reaches this share is its twin: the same recording reaches
 0.97 in any noise. What fits less is a rival like any other."""
-SPEED_FRAMES, NEAR_SPEED, OWN_SPEED_SHARE = 30, 0.02, 0.85
+SPEED_FRAMES, NEAR_SPEED, OWN_SPEED_SHARE = 30, 0.02, 0.9
 """A window shorter than 2.4 s hardly tells the speed. Half of those of 1.25 s that are right fit
-best at another than the track's own, but nearly as well at that: 0.93 of the similarity or more in
+best at another than the track's own, but nearly as well at that: 0.92 of the similarity or more in
 99 of 100. A drum machine's loop that meets one of another tempo, played faster or slower, reaches
-0.6 to 0.77 at the speed and pitch of the recording."""
+less at the speed and pitch of the recording, most often 0.7 to 0.8."""
 MIN_WINDOW_FRAMES = 8
 
 

@@ -11,7 +11,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from downbeat.perception.alignment import I64, MAX_WIDTH, QUIET_SHARE, Fit
+from downbeat.perception.alignment import MAX_WIDTH, QUIET_SHARE, Fit
+from downbeat.perception.best_places import I64
 from downbeat.perception.features import F32
 from downbeat.perception.index import FINE_PER_COARSE, QUANTUM, Coarse
 from downbeat.perception.index import coarse as coarse_of

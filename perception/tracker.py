@@ -31,7 +31,7 @@ NOISY_USUAL, NOISY_SIMILARITY, NOISY_CHECK_S = 0.5, 0.15, 2.0
 second of something else falls below the second figure."""
 DIP_USUAL, DIP_CHECK_S, DIP_SIMILARITY, DIP_SHARE = 0.7, 3.0, 0.13, 0.5
 """A weak second of a lock used to less than the first figure may be a dip: three seconds tell.
-Those of a wrong place stay below 0.09 in 99 of 100, and soon after a cut they have fallen below
+Those of a wrong place stay below 0.11 in 99 of 100, and soon after a cut they have fallen below
 this share of what the lock has been used to; three seconds that hold nothing from before are not
 asked for it: music may fade in its noise."""
 DIP_FRESH_S, DIP_FRESH_SIMILARITY = 1.45, 0.1

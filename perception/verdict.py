@@ -55,8 +55,9 @@ BRIEF_BELOW, BRIEF_COST, BRIEF_SURE_FROM = 0.5, 3.0, 0.65
 be all there is. A tone's first moment stood 0.9 above the second for a piece of single sounds: such
 windows are sure only from the last lead on, and pay what twenty times as many strangers of their
 kind among the learned ones would make them pay, as a stage with such a piece hears nothing else."""
-LEAST_SPECTRA = 2.0
-"""Where fewer different spectra agree, and that briefly, it may be one note."""
+BARE_BELOW, LEAST_SPECTRA = 0.6, 2.0
+"""Where fewer different spectra agree, and less than this share of a window, it may be one note's
+beginning; 1 in 200 right windows of two seconds or less is like that."""
 _LASTING_FLOOR = 1e-3
 _LEVEL_OF_INT8 = np.clip(
     (np.arange(-128, 128) / QUANTUM - ft.CLIP_LOW) / LEVEL_STEP, 0, LEVELS - 1
@@ -174,7 +175,7 @@ def is_bare(agreed: F32) -> bool:
     Args:
         agreed: (w, NUM_BANDS) `agreement`.
     """
-    return share_that_agrees(agreed) < BRIEF_BELOW and variety(agreed) < LEAST_SPECTRA
+    return share_that_agrees(agreed) < BARE_BELOW and variety(agreed) < LEAST_SPECTRA
 
 
 def with_length(measures: F64, frames: npt.NDArray[np.int64] | int) -> F64:

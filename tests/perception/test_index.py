@@ -16,8 +16,8 @@ from downbeat.perception.index_file import HEAD, read_index
 def small():
     """Two short tracks."""
     index = Index()
-    index.add("one", make_music(1, 3.0), RATE, "digest of one")
-    index.add("two, «quoted»", make_music(2, 4.0), RATE)
+    index.add("one", make_music(1, 4.0), RATE, "digest of one")
+    index.add("two, «quoted»", make_music(2, 5.0), RATE)
     return index
 
 
