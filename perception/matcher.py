@@ -47,8 +47,8 @@ TWIN_SHARE = 0.95
 SPEED_FRAMES, NEAR_SPEED, OWN_SPEED_SHARE = 30, 0.02, 0.9
 """A window shorter than 2.4 s hardly tells the speed. Half of those of 1.25 s that are right fit
 best at another than the track's own, but nearly as well at that: 0.92 of the similarity or more in
-99 of 100. Loops of a drum machine that meet one of another tempo mostly reach less: made ones 0.7 to
-0.8 where they are played faster or slower, 0.87 and more where only the tempo differs."""
+99 of 100. Loops of a drum machine that meet one of another tempo mostly reach less: made ones 0.7
+to 0.8 where they are played faster or slower, 0.87 and more where only the tempo differs."""
 MIN_WINDOW_FRAMES = 8
 
 
