@@ -14,6 +14,7 @@ from downbeat.catalog.beatgrid import BeatGrid
 from downbeat.catalog.tracks import Track, load_track
 from downbeat.perception.errors import PerceptionError
 from downbeat.perception.index import Index
+from downbeat.perception.index_file import REMEDY
 from downbeat.perception.passages import shared_among
 from downbeat.perception.source import audio_files, load_recording
 from downbeat.tools.errors import ToolError
@@ -99,6 +100,9 @@ def update_catalog(
     out.mkdir(parents=True, exist_ok=True)
     old = _old_index(out / INDEX_NAME, say)
     known = dict(zip(old.names, old.sources))
+    # Of an index that cannot be read the track files tell what was in it.
+    is_lost = not old.names and (out / INDEX_NAME).is_file()
+    before = {path.stem for path in out.glob("*.toml")} if is_lost else set(known)
     changes, analysed, seen = Changes(), Analysed(), set()
     console = Console(stderr=True)
     files = audio_files(audio)
@@ -120,7 +124,7 @@ def update_catalog(
             changes.left_out.append(str(error))
     if not seen:
         raise PerceptionError(f"{audio} holds no recording that can be used: {changes.left_out[0]}")
-    changes.dropped = sorted(set(known) - seen)
+    changes.dropped = sorted(before - seen)
     index = join_tracks({**_tracks(old, changes.kept), **_tracks(analysed.index, changes.made)})
     index.shared = old.shared
     if not changes.is_empty or old.shared is None or not (out / INDEX_NAME).is_file():
@@ -172,6 +176,11 @@ def remove_track(where: Path, name: str) -> tuple[Index, Changes]:
     """
     path = index_path(where)
     old = Index.load(path)
+    if name not in old.names and Path(name).stem in old.names:
+        raise ToolError(
+            f"{path} holds no track '{name}'; valid is '{Path(name).stem}', the name without the "
+            "ending of the file."
+        )
     if name not in old.names:
         some = ", ".join(old.names[:10]) + (" ..." if len(old.names) > 10 else "")
         raise ToolError(f"{path} holds no track '{name}'; it holds {some}.")
@@ -211,7 +220,8 @@ def _old_index(path: Path, say: Say) -> Index:
     try:
         return Index.load(path)
     except PerceptionError as error:
-        say(f"everything is analysed again: {error}")
+        why = str(error).removesuffix(f"; {REMEDY}.")
+        say(f"{why}; everything is analysed again.")
         return Index()
 
 

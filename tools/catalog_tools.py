@@ -26,6 +26,7 @@ from downbeat.tools.catalog_build import (
     update_catalog,
 )
 from downbeat.tools.catalog_likeness import choose_embedder, update_likeness
+from downbeat.tools.console import some
 from downbeat.tools.duplicates import find_duplicates
 from downbeat.tools.errors import ToolError
 from downbeat.tools.eval_mashup import dance_names, say
@@ -56,6 +57,9 @@ def build(audio: Path, out: Path, seed: int, clap: Path | None = None) -> int:
             "take one of them out."
         )
     print(f"{out}: {_summary(index, changes)}; give them sections in their TOML files")
+    if changes.dropped:
+        names = some(changes.dropped, MOST_NAMED, ", ")
+        print(f"dropped, as {audio} holds no such recording; their rules are put aside: {names}")
     return show(out, duplicates)
 
 
@@ -127,6 +131,9 @@ def match(
     verdict = "accepted" if result.accepted else "not accepted"
     for twin, tau_s in result.twins:
         verdict += f": '{twin}' holds the same passage at {tau_s:.2f} s"
+    if result.repeats:
+        places = some([f"{tau_s:.2f}" for tau_s in result.repeats], MOST_NAMED, ", ")
+        verdict += f"; the track repeats it at {places} s"
     print(
         f"{result.track or 'nothing'} at {result.tau_s:.3f} s, rate {result.rate:.2f}, "
         f"score {result.confidence:.2f} ({verdict}), {result.votes} votes, "
@@ -174,6 +181,8 @@ def show(
 
     Skills that no skill's folder has are named; those of `imported` count as well.
     """
+    if catalog is not None and catalog.is_file():
+        catalog = catalog.parent  # its index was named
     tracks = load_tracks(catalog or BUNDLED_TRACKS)
     table = Table("track", "tempo", "from", "to", "section", "skill")
     for track in tracks.values():

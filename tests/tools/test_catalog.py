@@ -143,8 +143,19 @@ def test_a_damaged_index_is_said_and_built_again(audio, tmp_path, analysed):
     analysed.clear()
     _, _, said = build(audio, out)
     assert sorted(analysed) == ["song0", "song1", "song2"]
-    assert "damaged" in said[0]
+    assert "damaged" in said[0] and "catalog build" not in said[0]
     assert (out / INDEX_NAME).read_bytes() == good
+
+
+def test_a_track_of_a_damaged_index_whose_recording_is_gone_is_put_aside(audio, tmp_path, analysed):
+    out = tmp_path / "out"
+    build(audio, out)
+    (audio / "song1.wav").unlink()
+    (out / INDEX_NAME).write_bytes((out / INDEX_NAME).read_bytes()[:-50])
+    index, changes, _ = build(audio, out)
+    assert changes.dropped == ["song1"] and index.names == ["song0", "song2"]
+    assert sorted(path.stem for path in out.glob("*.toml")) == index.names
+    assert (out / "song1.toml.removed").is_file()
 
 
 def test_a_folder_without_recordings_is_one_sentence(tmp_path, analysed):
@@ -159,6 +170,8 @@ def test_removing_what_is_not_there_names_what_is(audio, tmp_path, analysed):
     build(audio, out)
     with pytest.raises(ToolError, match="holds song0, song1, song2"):
         remove_track(out, "song9")
+    with pytest.raises(ToolError, match="valid is 'song1', the name without the ending"):
+        remove_track(out, "song1.wav")
     remove_track(out, "song0")
     remove_track(out / INDEX_NAME, "song1")
     with pytest.raises(ToolError, match="only track"):
@@ -184,6 +197,40 @@ def test_match_prints_its_answer_as_json(audio, tmp_path, analysed, capsys, matc
     assert {"track", "tau_s", "confidence", "votes", "rate", "accepted"} <= set(found)
     assert (found["track"], found["accepted"]) == ("song2", True)
     assert found["tau_s"] == pytest.approx(3.0, abs=0.05)
+
+
+def test_match_says_where_else_the_track_has_the_passage(audio, tmp_path, analysed, capsys):
+    looped = np.concatenate([song(7, 6.0), song(8, 6.0), song(7, 6.0)])
+    soundfile.write(audio / "looped.wav", looped, RATE)
+    out = tmp_path / "out"
+    build(audio, out)
+    assert catalog_tools.match(out, audio / "looped.wav", 1.0, 3.0, False, "alignment") == 0
+    said = capsys.readouterr().out
+    places = re.search(r"looped at ([\d.]+) s.*the track repeats it at ([\d.]+) s", said).groups()
+    assert sorted(float(place) for place in places) == pytest.approx([1.0, 13.0], abs=0.05)
+    catalog_tools.match(out, audio / "song2.wav", 3.0, 5.0, False, "alignment")
+    assert "repeats" not in capsys.readouterr().out
+
+
+def test_a_catalogue_is_shown_by_its_folder_and_by_its_index(audio, tmp_path, analysed, capsys):
+    out = tmp_path / "out"
+    build(audio, out)
+    said = []
+    for where in (out, out / INDEX_NAME):
+        assert catalog_tools.show(where) == 0
+        said.append(capsys.readouterr().out)
+    assert "song1" in said[0] and said[0] == said[1]
+
+
+def test_a_build_names_what_it_drops(audio, tmp_path, analysed, capsys, monkeypatch):
+    monkeypatch.setattr(catalog_tools, "dance_names", lambda: DANCES)
+    out = tmp_path / "out"
+    catalog_tools.build(audio, out, 0)
+    assert "dropped, as" not in capsys.readouterr().out
+    (audio / "song1.wav").unlink()
+    catalog_tools.build(audio, out, 0)
+    said = capsys.readouterr().out
+    assert "dropped, as" in said and "rules are put aside: song1" in said
 
 
 def test_near_its_end_a_recording_is_asked_with_the_rest(audio, tmp_path, analysed, capsys):
