@@ -195,9 +195,11 @@ class FineAligner:
         taken = gram.ravel().take(columns, mode="clip")  # (frames, rates * offsets)
         power = self._power_from(track, first - margin, len(reference)).astype(np.float32)
         # Of every line its own: chords that last are alike all along, and the loudest would win.
-        norms = np.sqrt(power.take(met).sum(0))  # (rates * offsets,)
-        scores = taken.sum(0) / np.maximum(norms, self._least_norm(track, frames))
-        scores = scores.reshape(len(rates), -1)
+        length = len(power) - 2 * search
+        each = as_strided(power, (length, 2 * search + 1), 2 * power.strides)
+        norms = np.sqrt(met[:, :length] @ each)  # (rates, offsets)
+        scores = taken.sum(0).reshape(norms.shape)
+        scores /= np.maximum(norms, self._least_norm(track, frames))
         r, d = np.unravel_index(int(scores.argmax()), scores.shape)
         # Between the frames of the reference: half a frame off costs what tells two repeats apart.
         off, top = vertex(scores[r], int(d))
@@ -252,12 +254,12 @@ class FineAligner:
 
 
 @lru_cache(maxsize=64)
-def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, I64, int]:
+def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, F32, int]:
     """Return the lines through the Gram matrix as flat places in it, and its margin.
 
     Returns:
         (frames, rates * offsets) indices into the flattened (g, ROWS, 2 ROWS + 2 margin) matrix;
-        the frames of the reference that they meet, from its first on; and the margin.
+        which frames of the reference each rate meets at the first offset, (rates, n); the margin.
     """
     centre = (frames - 1) / 2.0
     steepest = max(abs(rate - 1.0) for rate in rates)
@@ -269,8 +271,9 @@ def _lines(frames: int, search: int, rates: tuple[float, ...]) -> tuple[I64, I64
     # In its group, the first column is that of the group's first frame.
     begin = rows * (2 * ROWS + 2 * margin) - 2 * ROWS * (rows // ROWS)
     places = begin + columns  # (rates, offsets, frames)
-    flat = (np.ascontiguousarray(table.reshape(-1, frames).T) for table in (places, columns))
-    return *flat, margin
+    met = np.zeros((len(rates), int(columns.max()) + 2 * ROWS + 2 * margin), np.float32)
+    np.add.at(met, (np.arange(len(rates))[:, None], columns[:, 0]), 1.0)
+    return np.ascontiguousarray(places.reshape(-1, frames).T), met, margin
 
 
 def vertex(scores: F32, peak: int) -> tuple[float, float]:
