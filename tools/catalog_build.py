@@ -176,13 +176,10 @@ def remove_track(where: Path, name: str) -> tuple[Index, Changes]:
     """
     path = index_path(where)
     old = Index.load(path)
-    if name not in old.names and Path(name).stem in old.names:
-        raise ToolError(
-            f"{path} holds no track '{name}'; valid is '{Path(name).stem}', the name without the "
-            "ending of the file."
-        )
     if name not in old.names:
         some = ", ".join(old.names[:10]) + (" ..." if len(old.names) > 10 else "")
+        if (stem := Path(name).stem) in old.names:
+            some = f"'{stem}', named without the ending of its file"
         raise ToolError(f"{path} holds no track '{name}'; it holds {some}.")
     kept = [other for other in old.names if other != name]
     if not kept:

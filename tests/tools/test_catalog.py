@@ -170,7 +170,7 @@ def test_removing_what_is_not_there_names_what_is(audio, tmp_path, analysed):
     build(audio, out)
     with pytest.raises(ToolError, match="holds song0, song1, song2"):
         remove_track(out, "song9")
-    with pytest.raises(ToolError, match="valid is 'song1', the name without the ending"):
+    with pytest.raises(ToolError, match="it holds 'song1', named without the ending of its file"):
         remove_track(out, "song1.wav")
     remove_track(out, "song0")
     remove_track(out / INDEX_NAME, "song1")
