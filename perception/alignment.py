@@ -185,7 +185,8 @@ class FineAligner:
         frames, energy = heard.frames, heard.energy
         columns, met, margin = _lines(frames, search, rates)
         groups, span = len(heard.groups), 2 * ROWS + 2 * margin
-        reference = self._reference(track, first - margin, 2 * ROWS * (groups - 1) + span)
+        begin, count = first - margin, 2 * ROWS * (groups - 1) + span
+        reference = _cut(self._fine[track], begin, count)  # (count, NUM_BANDS)
         along, across = reference.strides
         # Only what lies near the diagonal is multiplied: each group with the frames it may meet.
         near = as_strided(
@@ -193,9 +194,9 @@ class FineAligner:
         )
         gram = heard.groups @ near  # (g, ROWS, span)
         taken = gram.ravel().take(columns, mode="clip")  # (frames, rates * offsets)
-        power = self._power_from(track, first - margin, len(reference)).astype(np.float32)
+        power = _cut(self._power[track], begin, count)
         # Of every line its own: chords that last are alike all along, and the loudest would win.
-        length = len(power) - 2 * search
+        length = count - 2 * search
         each = as_strided(power, (length, 2 * search + 1), 2 * power.strides)
         norms = np.sqrt(met[:, :length] @ each)  # (rates, offsets)
         scores = taken.sum(0).reshape(norms.shape)
@@ -225,32 +226,21 @@ class FineAligner:
         found[inside] = fine[places[inside]]
         return found
 
-    def _reference(self, track: int, begin: int, length: int) -> F32:
-        """Return `length` frames from `begin`, zeros beyond the ends, (length, NUM_BANDS)."""
-        fine = self._fine[track]
-        if begin >= 0 and begin + length <= len(fine):
-            return fine[begin : begin + length].astype(np.float32)
-        reference = np.zeros((length, ft.NUM_BANDS), np.float32)
-        low, high = max(begin, 0), min(begin + length, len(fine))
-        if high > low:
-            reference[low - begin : high - begin] = fine[low:high]
-        return reference
-
-    def _power_from(self, track: int, begin: int, length: int) -> Power:
-        """Return the power of `length` frames from `begin`, 0 beyond the ends, (length,)."""
-        power = self._power[track]
-        low, high = max(begin, 0), min(begin + length, len(power))
-        if low == begin and high == begin + length:
-            return power[begin:high]
-        found = np.zeros(length, np.int32)
-        if high > low:
-            found[low - begin : high - begin] = power[low:high]
-        return found
-
     def _least_norm(self, track: int, frames: int) -> float:
         if track not in self._usual:
             self._usual[track] = max(float(self._power[track].mean(dtype=np.float64)), 1e-9)
         return math.sqrt(max(QUIET_SHARE * self._usual[track] * frames, 1.0))
+
+
+def _cut(rows: Fine | Power, begin: int, count: int) -> F32:
+    """Return `count` rows from `begin`, zeros beyond the ends."""
+    if begin >= 0 and begin + count <= len(rows):
+        return rows[begin : begin + count].astype(np.float32)
+    found = np.zeros((count, *rows.shape[1:]), np.float32)
+    low, high = max(begin, 0), min(begin + count, len(rows))
+    if high > low:
+        found[low - begin : high - begin] = rows[low:high]
+    return found
 
 
 @lru_cache(maxsize=64)
